@@ -1,0 +1,52 @@
+"""Navigation testbed: JSBSim flies, sensor models record, estimators estimate, the bench compares.
+
+The picture, one public function per arrow and one class per noun::
+
+    scenario ── fly ──> Trajectory ── sense(seed) ──> SensorLog ── estimator.run ──> NavSolution ── score ──> table
+                (truth)               (per run)
+
+>>> scenario = load_scenario("quickstart")
+>>> trajectory = fly(scenario)
+>>> log, errors = sense(scenario, trajectory, seed=0)
+>>> solution = make_estimator("indirect-kf").run(log)
+>>> table = score(scenario, trajectory, solution)
+
+`run(scenario, out=...)` does all of it over many seeds and writes the report.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from testbed.errors import FlightError, InputError, TestbedError
+    from testbed.pipeline import fly, score, sense
+    from testbed.records import InitialState, NavSolution, SensorErrors, SensorLog, Trajectory
+    from testbed.registry import list_estimators, load_plugin, make_estimator
+    from testbed.runner import run
+    from testbed.scenario import Scenario, list_scenarios, load_scenario
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "testbed.errors": ("FlightError", "InputError", "TestbedError"),
+    "testbed.pipeline": ("fly", "score", "sense"),
+    "testbed.records": ("InitialState", "NavSolution", "SensorErrors", "SensorLog", "Trajectory"),
+    "testbed.registry": ("list_estimators", "load_plugin", "make_estimator"),
+    "testbed.runner": ("run",),
+    "testbed.scenario": ("Scenario", "list_scenarios", "load_scenario"),
+}
+_MODULE = {name: module for module, names in _HOME.items() for name in names}
+__all__ = sorted(_MODULE)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used, so that ``import testbed`` stays light."""
+    if name in _MODULE:
+        return getattr(import_module(_MODULE[name]), name)
+    raise AttributeError(f"module 'testbed' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_MODULE])

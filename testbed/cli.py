@@ -1,0 +1,202 @@
+"""The command line: small verbs around the Python API. Heavy imports are made inside the verbs.
+
+Exit codes: 0 done, 1 the work failed, 2 bad usage or bad input. A user's mistake gives one message and no traceback.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from testbed.scenario import Scenario
+
+app = typer.Typer(
+    name="testbed",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="JSBSim flies a scripted manoeuvre, sensor models record it, every navigation filter is scored on the same recording.",
+)
+
+ScenarioArgument = Annotated[str, typer.Argument(metavar="SCENARIO", help="Path of a TOML file, or the name of a shipped one.")]
+ProfileOption = Annotated[str | None, typer.Option("--profile", help="Overlay of the scenario, for example smoke or paper.")]
+VariantOption = Annotated[str | None, typer.Option("--variant", help="Variant of the scenario.")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting, e.g. sensors.imu.rate_hz=200.")
+]
+PluginOption = Annotated[list[Path] | None, typer.Option("--plugin", help="Python file with your own estimators.")]
+SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed in place of the scenario's.")]
+OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for the results.")]
+
+
+def main() -> None:
+    """Entry point of the command ``testbed``."""
+    from testbed.errors import TestbedError
+
+    try:
+        app()
+    except TestbedError as error:
+        print(f"testbed: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        print("testbed: stopped", file=sys.stderr)
+        sys.exit(1)
+    except BrokenPipeError:
+        sys.exit(1)
+
+
+def _load(
+    scenario: str, profile: str | None, variant: str | None, settings: list[str] | None, seed: int | None = None
+) -> Scenario:
+    from testbed.scenario import load_scenario, parse_setting
+
+    overrides: dict[str, Any] = dict(parse_setting(text) for text in settings or [])
+    if seed is not None:
+        overrides["monte_carlo.seed"] = seed
+    return load_scenario(scenario, profile, variant, overrides)
+
+
+def _load_plugins(plugins: list[Path] | None) -> None:
+    from testbed.registry import load_plugin
+
+    for path in plugins or []:
+        load_plugin(path)
+
+
+@app.command("run")
+def run_command(
+    scenario: Annotated[str | None, typer.Argument(metavar="SCENARIO", help="Path of a TOML file, or the name of a shipped one.")] = None,
+    runs: Annotated[str | None, typer.Option(help="Number of Monte Carlo runs, or 'auto' to stop when the claims are settled.")] = None,
+    seed: SeedOption = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes; default: one per core.")] = None,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, e.g. tcp://host:8786.")] = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    estimators: Annotated[str | None, typer.Option(metavar="A,B", help="Only these rows of the scenario (or further estimators).")] = None,
+    settings: SetOption = None,
+    out: OutOption = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Complete what is missing in an earlier result.")] = False,
+    timeout: Annotated[float | None, typer.Option(min=0.1, help="Longest time of one estimator on one run, s.")] = None,
+    sweep: Annotated[list[str] | None, typer.Option(metavar="KEY=V1,V2", help="Run a grid over settings.")] = None,
+    width: Annotated[float, typer.Option(help="With --runs auto: interval width of every claim, percentage points.")] = 10.0,
+    cap: Annotated[int, typer.Option(help="With --runs auto: most runs.")] = 1000,
+    plugin: PluginOption = None,
+) -> None:
+    """Fly, sense, estimate, score over many seeds; print the table and write the report."""
+    from testbed import commands
+
+    if scenario is None:
+        commands.show("scenarios")
+        print("\nRun one with: testbed run NAME")
+        return
+    _load_plugins(plugin)
+    loaded = _load(scenario, profile, variant, settings, seed)
+    commands.run(
+        loaded,
+        out=out,
+        runs=runs,
+        jobs=jobs,
+        scheduler=scheduler,
+        estimators=estimators,
+        resume=resume,
+        timeout=timeout,
+        sweep=sweep,
+        width=width,
+        cap=cap,
+        plugins=plugin or [],
+    )
+
+
+@app.command("fly")
+def fly_command(
+    scenario: ScenarioArgument,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+    seed: SeedOption = None,
+) -> None:
+    """Fly only: the trajectory as Parquet, CSV, KML and NaveGo-style .mat."""
+    from testbed import commands
+
+    commands.fly(_load(scenario, profile, variant, settings, seed), out)
+
+
+@app.command("sense")
+def sense_command(
+    scenario: ScenarioArgument,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+    seed: SeedOption = None,
+) -> None:
+    """Fly and record: the trajectory and one sensor log."""
+    from testbed import commands
+
+    commands.sense(_load(scenario, profile, variant, settings, seed), out)
+
+
+@app.command("allan")
+def allan_command(
+    log: Annotated[Path, typer.Argument(help="Folder of a sensor log at rest.")],
+    out: OutOption = None,
+) -> None:
+    """Allan deviation of a log at rest, and the coefficients fitted to it."""
+    from testbed import commands
+
+    commands.allan(log, out)
+
+
+@app.command("import")
+def import_command(
+    format: Annotated[str, typer.Argument(help="navego, table or ulog.")],
+    files: Annotated[list[Path], typer.Argument(help="The recording: a folder or files.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the sensor log.")],
+) -> None:
+    """Recorded data into a sensor log that every estimator can run on."""
+    from testbed import commands
+
+    commands.import_recording(format, files, out)
+
+
+@app.command("report")
+def report_command(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Result folders.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the index over several results.")] = Path("results"),
+) -> None:
+    """Render results again; several results also into one index."""
+    from testbed import commands
+
+    commands.report(folders, out)
+
+
+@app.command("compare")
+def compare_command(
+    old: Annotated[Path, typer.Argument(help="Result folder of the reference.")],
+    new: Annotated[Path, typer.Argument(help="Result folder to judge.")],
+) -> None:
+    """Say which metrics changed beyond their statistical error; exit code 1 if any got worse."""
+    from testbed import commands
+
+    raise typer.Exit(commands.compare(old, new))
+
+
+@app.command("list")
+def list_command(
+    what: Annotated[str, typer.Argument(help="scenarios, aircraft, sensors or estimators.")],
+    plugin: PluginOption = None,
+) -> None:
+    """What the bench ships and finds."""
+    from testbed import commands
+
+    _load_plugins(plugin)
+    commands.show(what)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,291 @@
+"""What the verbs of the command line do: glue between files, the Python API and the screen."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from testbed.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from testbed.scenario import Scenario
+
+TABLE_METRICS = {
+    "rmse_north_m": "north m",
+    "rmse_east_m": "east m",
+    "rmse_down_m": "down m",
+    "rmse_position_3d_m": "3-D m",
+    "rmse_velocity_3d_mps": "vel m/s",
+    "rmse_roll_deg": "roll °",
+    "rmse_pitch_deg": "pitch °",
+    "rmse_yaw_deg": "yaw °",
+}
+
+
+def run(scenario: Scenario, out: Path | None, runs: str | None, estimators: str | None, sweep: list[str] | None, **rest: Any) -> None:
+    """``testbed run``: the Monte Carlo, the table on screen, the report."""
+    import testbed.runner
+
+    folder = out or Path("results") / scenario.name
+    scenario = _choose_estimators(scenario, estimators)
+    if sweep:
+        from testbed.sweep import sweep_command
+
+        rest = {key: rest[key] for key in ("jobs", "plugins", "timeout")}
+        sweep_command(scenario, sweep, folder, runs=_run_count(runs), progress=progress_line, **rest)
+        print(f"sweep: {folder / 'sweep.csv'}")
+        return
+    auto = runs == "auto"
+    width, cap = rest.pop("width"), rest.pop("cap")
+    with progress_line("runs") as tell:
+        if auto:
+            result = testbed.runner.run_auto(scenario, folder, width_pct=width, cap=cap, progress=tell, **rest)
+        else:
+            result = testbed.runner.run(scenario, folder, runs=_run_count(runs), progress=tell, **rest)
+    print_summary(scenario, result.summary, result.runs)
+    if not result.claims.empty:
+        print_claims(result.claims)
+    from testbed.report import render
+
+    render(folder)
+    print(f"report: {folder / 'report.html'}")
+
+
+def _run_count(runs: str | None) -> int | None:
+    if runs is None or runs == "auto":
+        return None
+    if not runs.isdigit() or int(runs) < 1:
+        raise InputError(f"--runs {runs}: expected a number of runs from 1, or 'auto'")
+    return int(runs)
+
+
+def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
+    """Keep the named rows; a name that is no row of the scenario but an estimator becomes a row with defaults."""
+    if names is None:
+        return scenario
+    from testbed.registry import list_estimators
+    from testbed.scenario import EstimatorConfig
+
+    rows = {entry.row: entry for entry in scenario.estimators}
+    chosen = []
+    for name in (part.strip() for part in names.split(",")):
+        if name not in rows and name not in list_estimators():
+            raise InputError(f"--estimators: unknown estimator '{name}'; {nearest(name, [*rows, *list_estimators()])}")
+        chosen.append(rows.get(name) or EstimatorConfig(name=name))
+    kept = {entry.row for entry in chosen}
+    claims = [claim for claim in scenario.claims if {claim.better, claim.than} <= kept]
+    return scenario.model_copy(update={"estimators": chosen, "claims": claims})
+
+
+@contextmanager
+def progress_line(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar with rate and time left on a terminal; plain lines, one per tenth, elsewhere."""
+    if sys.stderr.isatty():
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+        columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+        from rich.console import Console
+
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(what, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+        return
+    import time
+
+    start, told = time.monotonic(), -1
+
+    def tell(done: int, total: int) -> None:
+        nonlocal told
+        tenth = 10 * done // max(total, 1)
+        if tenth > told:
+            told = tenth
+            elapsed = time.monotonic() - start
+            left = f", {elapsed / done * (total - done):.0f} s left" if done else ""
+            print(f"{what}: {done} of {total}, {elapsed:.0f} s{left}", file=sys.stderr, flush=True)
+
+    yield tell
+
+
+def print_summary(scenario: Scenario, summary: pd.DataFrame, runs: pd.DataFrame) -> None:
+    """The comparative RMSE table: mean over runs in the window ``all``, best of each column marked."""
+    from rich.console import Console
+    from rich.table import Table
+
+    chosen = summary[(summary["window"] == "all") & summary["metric"].isin(list(TABLE_METRICS))]
+    wide = chosen.pivot(index="estimator", columns="metric", values="mean")
+    statuses = runs.groupby("estimator")["status"].agg(lambda s: int((s != "ok").sum()))
+    table = Table(title=f"{scenario.scenario.title or scenario.name}: RMSE, mean of {runs['run'].nunique()} runs", title_justify="left")
+    table.add_column("estimator")
+    columns = [metric for metric in TABLE_METRICS if metric in wide]
+    for metric in columns:
+        table.add_column(TABLE_METRICS[metric], justify="right")
+    table.add_column("failed", justify="right")
+    best = wide.min()
+    for entry in scenario.estimators:
+        cells = [entry.row]
+        for metric in columns:
+            value = wide[metric].get(entry.row)
+            text = "–" if value is None or value != value else f"{value:.4g}"
+            cells.append(f"[bold]{text}[/bold]" if value == best[metric] else text)
+        table.add_row(*cells, str(int(statuses.get(entry.row, 0))))
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+
+
+def print_claims(claims: pd.DataFrame) -> None:
+    """The claims with the paper's figure, ours and the verdict."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="Claims: improvement in %", title_justify="left")
+    for column in ("claim", "paper", "measured", "95 % interval", "verdict"):
+        table.add_column(column, justify="left" if column in ("claim", "verdict") else "right")
+    for row in claims.to_dict("records"):
+        paper = "–" if row["paper_pct"] != row["paper_pct"] else f"{row['paper_pct']:.0f}"
+        table.add_row(
+            str(row["text"] or row["id"]), paper, f"{row['measured_pct']:.1f}", f"{row['ci_low']:.1f} to {row['ci_high']:.1f}", row["verdict"]
+        )
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+
+
+@contextmanager
+def fresh_folder(out: Path) -> Iterator[Path]:
+    """A temporary folder that takes the place of ``out`` at the end; on an error nothing half-written remains."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: already exists and is not an empty folder; give another --out")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    try:
+        yield scratch
+        scratch.chmod(0o777 & ~_umask())
+        if out.exists():
+            out.rmdir()
+        os.replace(scratch, out)
+    except BaseException:
+        shutil.rmtree(scratch, ignore_errors=True)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def fly(scenario: Scenario, out: Path | None) -> None:
+    """``testbed fly``."""
+    from testbed import pipeline
+    from testbed.formats import export_trajectory
+
+    trajectory = pipeline.fly(scenario)
+    folder = out or Path("results") / f"{scenario.name}-flight"
+    with fresh_folder(folder) as scratch:
+        for kind, suffix in (("parquet", "parquet"), ("csv", "csv"), ("kml", "kml"), ("navego", "mat")):
+            export_trajectory(trajectory, scratch / f"trajectory.{suffix}", kind)
+    print(f"{trajectory.t[-1] - trajectory.t[0]:g} s in {len(trajectory.t)} samples, {len(trajectory.phases)} manoeuvres: {folder}")
+
+
+def sense(scenario: Scenario, out: Path | None) -> None:
+    """``testbed sense``."""
+    from testbed import pipeline
+    from testbed.formats import export_log, export_trajectory
+
+    trajectory = pipeline.fly(scenario)
+    log, _ = pipeline.sense(scenario, trajectory)
+    folder = out or Path("results") / f"{scenario.name}-log"
+    with fresh_folder(folder) as scratch:
+        export_trajectory(trajectory, scratch / "trajectory.parquet", "parquet")
+        log.save(scratch / "log")
+        export_log(log, scratch / "csv", "csv")
+        export_log(log, scratch / "mat", "navego", reference=trajectory)
+    counts = ", ".join(f"{len(frame)} {name}" for name, frame in log.frames().items())
+    print(f"{counts} samples: {folder}")
+
+
+def allan(log: Path, out: Path | None) -> None:
+    """``testbed allan``."""
+    from testbed.records import SensorLog
+    from testbed.sensors import allan as analysis
+
+    read = SensorLog.load(log)
+    table = analysis.analyse(read)
+    print(table.to_string(index=False))
+    folder = out or Path("results") / "allan"
+    folder.mkdir(parents=True, exist_ok=True)
+    table.to_csv(folder / "allan.csv", index=False)
+    analysis.plot(read, folder / "allan.png")
+    print(f"plot: {folder / 'allan.png'}")
+
+
+def import_recording(format: str, files: list[Path], out: Path) -> None:
+    """``testbed import``."""
+    from testbed.formats import import_log
+
+    recording = import_log(format, files)
+    with fresh_folder(out) as scratch:
+        recording.log.save(scratch / "log")
+        if recording.reference is not None:
+            recording.reference.save(scratch / "reference.parquet")
+    counts = ", ".join(f"{len(frame)} {name}" for name, frame in recording.log.frames().items())
+    print(f"{counts} samples{', with reference' if recording.reference is not None else ''}: {out}")
+
+
+def report(folders: list[Path], out: Path) -> None:
+    """``testbed report``."""
+    from testbed.report import render, render_index
+
+    for folder in folders:
+        if not (folder / "manifest.json").is_file():
+            raise InputError(f"{folder}: no result of 'testbed run' (it has no manifest.json)")
+    for folder in folders:
+        render(folder)
+        print(f"report: {folder / 'report.html'}")
+    if len(folders) > 1:
+        print(f"index: {render_index(folders, out)}")
+
+
+def compare(old: Path, new: Path) -> int:
+    """``testbed compare``: 1 when a metric got worse, else 0."""
+    from testbed.compare import compare_results
+
+    changes = compare_results(old, new)
+    if changes.empty:
+        print("no metric changed beyond its statistical error")
+        return 0
+    print(changes.to_string(index=False))
+    return int((changes["verdict"] == "worse").any())
+
+
+def show(what: str) -> None:
+    """``testbed list``."""
+    if what == "scenarios":
+        from testbed.scenario import list_scenarios
+        from testbed.schema import read_toml
+
+        for name, path in list_scenarios().items():
+            print(f"{name:20s} {read_toml(path).get('scenario', {}).get('title', '')}")
+    elif what == "estimators":
+        import inspect
+
+        from testbed.registry import estimator_class, list_estimators
+
+        for name in list_estimators():
+            first = (inspect.getdoc(estimator_class(name)) or "").split("\n")[0]
+            print(f"{name:14s} {first}")
+    elif what == "aircraft":
+        from testbed.flight import list_aircraft
+
+        print("\n".join(list_aircraft()))
+    elif what == "sensors":
+        from testbed.sensors import list_sensors
+
+        print("\n".join(list_sensors()))
+    else:
+        raise InputError(f"cannot list '{what}'; {nearest(what, ['scenarios', 'aircraft', 'sensors', 'estimators'])}")

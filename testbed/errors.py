@@ -1,0 +1,35 @@
+"""The errors that a user can mend: each says where, what was wrong and what would be right.
+
+The command line turns them into one message and an exit code; the Python API raises them.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class TestbedError(Exception):
+    """Base of every error that the bench raises on purpose. ``exit_code`` is what the command line returns."""
+
+    __test__ = False  # the name is not a pytest class
+    exit_code = 1
+
+
+class InputError(TestbedError):
+    """Bad usage or bad input: a scenario, a file, a name, a unit. Exit code 2."""
+
+    exit_code = 2
+
+
+class FlightError(TestbedError):
+    """The aircraft could not fly the script (stall, ground, divergence). Exit code 1."""
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """A hint that ends an error message: the closest valid names, or all of them when none is close."""
+    names = sorted(valid)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return "valid: " + (", ".join(names) if names else "none")

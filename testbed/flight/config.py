@@ -1,0 +1,262 @@
+"""What a flight is asked to be: aircraft, initial state, wind, and a list of manoeuvres (``[flight]`` of a scenario).
+
+The manoeuvre language is this project's own. Angles in degrees, speeds are true airspeeds in m/s, heights are above the
+WGS-84 ellipsoid in metres; positive bank and `right` turn to the right, positive climb rates go up.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from testbed.schema import Table
+
+Positive = Annotated[float, Field(gt=0)]
+Duration = Annotated[float, Field(gt=0, le=200_000)]
+Speed = Annotated[float, Field(gt=0, le=1000)]
+Bank = Annotated[float, Field(ge=-85, le=85)]
+Direction = Literal["left", "right"]
+
+
+class InitialFlightState(Table):
+    """``[flight.initial]``: where the flight starts, level and trimmed."""
+
+    lat_deg: float = Field(default=45.0, ge=-85, le=85)
+    lon_deg: float = Field(default=10.0, ge=-180, le=180)
+    alt_m: float = Field(default=1000.0, ge=0, le=30_000)
+    speed_mps: Speed
+    heading_deg: float = Field(default=0.0, ge=-360, le=360)
+
+
+class Wind(Table):
+    """``[flight.wind]``: steady wind (the velocity of the air over ground) and Dryden turbulence."""
+
+    north_mps: float = Field(default=0.0, ge=-60, le=60)
+    east_mps: float = Field(default=0.0, ge=-60, le=60)
+    down_mps: float = Field(default=0.0, ge=-20, le=20)
+    turbulence: Literal["none", "light", "moderate", "severe"] = "none"
+    seed: int | None = Field(default=None, ge=0)
+    """Turbulence seed; without it the seed of the flight."""
+
+
+class Manoeuvre(Table):
+    """Keys that every manoeuvre has. A new speed target holds until the next one."""
+
+    ends: ClassVar[tuple[str, ...]] = ()
+    """Names of the keys of which exactly one says when the manoeuvre ends."""
+
+    name: str = Field(default="", max_length=60)
+    speed_mps: Speed | None = None
+
+    @model_validator(mode="after")
+    def _one_end(self) -> Manoeuvre:
+        given = [key for key in self.ends if getattr(self, key) is not None]
+        if self.ends and len(given) != 1:
+            which = f"not {' and '.join(given)}" if given else "none is given"
+            raise ValueError(f"it ends by exactly one of {', '.join(self.ends)}; {which}")
+        return self
+
+    @property
+    def label(self) -> str:
+        """The name of its phase."""
+        return self.name or self.type  # type: ignore[attr-defined, no-any-return]
+
+
+class Climbing(Manoeuvre):
+    """Keys of the turning manoeuvres, which may climb or descend meanwhile (positive up)."""
+
+    climb_rate_mps: float | None = Field(default=None, ge=-200, le=200)
+
+
+class Straight(Manoeuvre):
+    """Hold heading, height and speed."""
+
+    type: Literal["straight"]
+    duration_s: Duration
+
+
+class Turn(Climbing):
+    """Turn at a bank angle (the sign gives the side) for a time, by an angle, or to a heading."""
+
+    type: Literal["turn"]
+    bank_deg: Bank
+    duration_s: Duration | None = None
+    heading_change_deg: float | None = Field(default=None, gt=0, le=36_000)
+    to_heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    ends: ClassVar[tuple[str, ...]] = ("duration_s", "heading_change_deg", "to_heading_deg")
+
+    @field_validator("bank_deg")
+    @classmethod
+    def _banked(cls, value: float) -> float:
+        return _not_level(value)
+
+
+class _Vertical(Manoeuvre):
+    climb_rate_mps: Annotated[float, Field(gt=0, le=200)] | None = None
+    path_angle_deg: Annotated[float, Field(gt=0, le=60)] | None = None
+    to_alt_m: float | None = Field(default=None, ge=0, le=30_000)
+    duration_s: Duration | None = None
+    ends: ClassVar[tuple[str, ...]] = ("to_alt_m", "duration_s")
+
+    @model_validator(mode="after")
+    def _one_rate(self) -> _Vertical:
+        if (self.climb_rate_mps is None) == (self.path_angle_deg is None):
+            raise ValueError("give exactly one of climb_rate_mps and path_angle_deg (both positive)")
+        return self
+
+
+class Climb(_Vertical):
+    """Climb to a height or for a time."""
+
+    type: Literal["climb"]
+
+
+class Descent(_Vertical):
+    """Descend to a height or for a time; rate and angle are given as positive numbers."""
+
+    type: Literal["descent"]
+
+
+class Loiter(Climbing):
+    """Circle at a radius over the ground, around the point abeam at the start."""
+
+    type: Literal["loiter"]
+    radius_m: float = Field(gt=0, le=100_000)
+    direction: Direction = "right"
+    turns: float | None = Field(default=None, gt=0, le=1000)
+    duration_s: Duration | None = None
+    ends: ClassVar[tuple[str, ...]] = ("turns", "duration_s")
+
+
+class STurn(Climbing):
+    """Swing to and fro about the initial heading; each leg changes heading by ``heading_change_deg``."""
+
+    type: Literal["s_turn"]
+    bank_deg: Bank
+    heading_change_deg: float = Field(default=60.0, gt=0, le=360)
+    legs: int | None = Field(default=None, ge=1, le=1000)
+    duration_s: Duration | None = None
+    ends: ClassVar[tuple[str, ...]] = ("legs", "duration_s")
+
+    @field_validator("bank_deg")
+    @classmethod
+    def _banked(cls, value: float) -> float:
+        return _not_level(value)
+
+
+class FigureEight(Climbing):
+    """Full circles to one side and the other in turn; positive bank starts to the right."""
+
+    type: Literal["figure_eight"]
+    bank_deg: Bank
+    circles: int | None = Field(default=None, ge=1, le=1000)
+    duration_s: Duration | None = None
+    ends: ClassVar[tuple[str, ...]] = ("circles", "duration_s")
+
+    @field_validator("bank_deg")
+    @classmethod
+    def _banked(cls, value: float) -> float:
+        return _not_level(value)
+
+
+class _SpeedChange(Manoeuvre):
+    to_speed_mps: Speed
+    acceleration_mps2: Annotated[float, Field(gt=0, le=20)] | None = None
+    """Without it the aircraft's usual one."""
+
+    @model_validator(mode="after")
+    def _one_speed(self) -> _SpeedChange:
+        if self.speed_mps is not None:
+            raise ValueError("give to_speed_mps, not speed_mps")
+        return self
+
+
+class Accelerate(_SpeedChange):
+    """Speed up to ``to_speed_mps``, straight and level."""
+
+    type: Literal["accelerate"]
+
+
+class Decelerate(_SpeedChange):
+    """Slow down to ``to_speed_mps``, straight and level."""
+
+    type: Literal["decelerate"]
+
+
+class Doublet(Manoeuvre):
+    """A control surface to one side and to the other (``period_s`` in all), then neutral until ``duration_s``."""
+
+    type: Literal["doublet"]
+    surface: Literal["elevator", "aileron", "rudder"]
+    amplitude: float = Field(ge=-1, le=1)
+    """Fraction of full deflection; positive pitches up, rolls right, yaws right first."""
+    period_s: Duration = 2.0
+    duration_s: Duration
+
+    @model_validator(mode="after")
+    def _fits(self) -> Doublet:
+        if self.period_s > self.duration_s:
+            raise ValueError(f"period_s {self.period_s} is longer than duration_s {self.duration_s}")
+        return self
+
+
+class Waypoint(Table):
+    """A point to overfly: north and east of the start in metres, or latitude and longitude."""
+
+    north_m: float | None = None
+    east_m: float | None = None
+    lat_deg: float | None = Field(default=None, ge=-85, le=85)
+    lon_deg: float | None = Field(default=None, ge=-180, le=180)
+    alt_m: float | None = Field(default=None, ge=0, le=30_000)
+
+    @model_validator(mode="after")
+    def _one_frame(self) -> Waypoint:
+        local = self.north_m is not None and self.east_m is not None
+        geodetic = self.lat_deg is not None and self.lon_deg is not None
+        given = sum(v is not None for v in (self.north_m, self.east_m, self.lat_deg, self.lon_deg))
+        if local == geodetic or given != 2:
+            raise ValueError("a waypoint needs either north_m and east_m or lat_deg and lon_deg")
+        return self
+
+
+class Waypoints(Manoeuvre):
+    """Fly over a list of points, each reached when passed within ``radius_m``."""
+
+    type: Literal["waypoints"]
+    points: list[Waypoint] = Field(min_length=1)
+    radius_m: Positive = 100.0
+
+
+AnyManoeuvre = Annotated[
+    Straight
+    | Turn
+    | Climb
+    | Descent
+    | Loiter
+    | STurn
+    | FigureEight
+    | Accelerate
+    | Decelerate
+    | Doublet
+    | Waypoints,
+    Field(discriminator="type"),
+]
+
+
+class FlightConfig(Table):
+    """``[flight]``: who flies what. ``duration_s`` cuts the script short, or ends it with straight flight."""
+
+    aircraft: str
+    rate_hz: float = Field(default=100.0, ge=10, le=1000)
+    duration_s: Duration | None = None
+    payload_kg: float = Field(default=0.0, ge=0, le=100_000)
+    initial: InitialFlightState
+    wind: Wind = Wind()
+    manoeuvres: list[AnyManoeuvre] = Field(min_length=1)
+
+
+def _not_level(bank_deg: float) -> float:
+    if abs(bank_deg) < 1.0:
+        raise ValueError("must be at least 1 degree to either side")
+    return bank_deg

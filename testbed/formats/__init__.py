@@ -1,0 +1,2 @@
+"""Recorded data in, flights out."""
+from testbed.formats.recording import Recording

@@ -1,0 +1,105 @@
+"""The four arrows of the bench as functions on a scenario: fly, sense, estimate (an estimator's own ``run``), score.
+
+The Monte Carlo runner and the Python API go through the same four.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from testbed.errors import InputError
+from testbed.records import NavSolution, SensorErrors, SensorLog, Trajectory
+from testbed.scenario import Scenario, set_key
+from testbed.schema import validate
+from testbed.streams import stream
+from testbed.windows import Window, resolve_windows
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from testbed.flight.config import FlightConfig
+
+
+def flight_varies(scenario: Scenario) -> bool:
+    """Whether each Monte Carlo run needs a flight of its own."""
+    vary = scenario.monte_carlo.vary
+    return scenario.flight is not None and ("turbulence" in vary or ("manoeuvres" in vary and bool(scenario.monte_carlo.disperse)))
+
+
+def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig, int]:
+    """The flight that run ``run`` flies, and its turbulence seed."""
+    from testbed.flight.config import FlightConfig
+
+    if scenario.flight is None:
+        raise InputError(f"{scenario.source_path}: the scenario is a recording; there is nothing to fly")
+    config, settings = scenario.flight, scenario.monte_carlo
+    if "manoeuvres" in settings.vary and settings.disperse:
+        data = config.model_dump(mode="json", exclude_none=True)
+        for key, distribution in settings.disperse.items():
+            rng = stream(settings.seed, run, f"flight.{key}")
+            draw = rng.normal(*distribution.normal) if distribution.normal else rng.uniform(*(distribution.uniform or (0.0, 0.0)))
+            set_key(data, key, float(draw), f"{scenario.source_path}: monte_carlo.disperse")
+        config = validate(FlightConfig, data, f"{scenario.source_path}: flight of run {run}")
+    seed = settings.seed + run if "turbulence" in settings.vary else settings.seed
+    return config, seed
+
+
+def fly(scenario: Scenario, run: int = 0) -> Trajectory:
+    """The truth of a run: the JSBSim flight (cached), or the reference of a recording.
+
+    Raises FlightError when the aircraft cannot fly the script, InputError when a recording has no reference.
+    """
+    if scenario.recording is not None:
+        from testbed.formats import load_recording
+
+        reference = load_recording(scenario.recording, scenario.folder).reference
+        if reference is None:
+            raise InputError(f"{scenario.source_path}: this recording has no reference trajectory, so nothing can be scored")
+        return reference
+    from testbed.flight import fly_flight
+
+    config, seed = flight_of_run(scenario, run)
+    return fly_flight(config, seed)
+
+
+def sense(
+    scenario: Scenario, trajectory: Trajectory, seed: int | None = None, run: int = 0
+) -> tuple[SensorLog, SensorErrors | None]:
+    """What the sensors record on a trajectory in Monte Carlo run ``run``; ``seed`` defaults to the scenario's.
+
+    For a recording: the recording and None.
+    """
+    if scenario.recording is not None:
+        from testbed.formats import load_recording
+
+        return load_recording(scenario.recording, scenario.folder).log, None
+    from testbed.sensors import sense_flight
+
+    if scenario.sensors is None:
+        raise InputError(f"{scenario.source_path}: no [sensors.imu]")
+    settings = scenario.monte_carlo
+    seed = settings.seed if seed is None else seed
+    return sense_flight(scenario.sensors, scenario.initial, trajectory, seed, run, vary=settings.vary)
+
+
+def windows_of(scenario: Scenario, trajectory: Trajectory, log: SensorLog | None = None) -> list[Window]:
+    """The scoring windows of a scenario on this flight and log."""
+    outages = log.gnss.outages if log is not None and log.gnss is not None else ()
+    return resolve_windows(scenario.windows, trajectory, outages)
+
+
+def score(
+    scenario: Scenario,
+    trajectory: Trajectory,
+    solution: NavSolution,
+    log: SensorLog | None = None,
+    errors: SensorErrors | None = None,
+) -> pd.DataFrame:
+    """Errors of a solution as a table (window, metric, value); the metric names are in `testbed.metrics`.
+
+    With ``log`` also the windows of drawn outages and the differences to GNSS; with ``errors`` also ``nees_bias``.
+    """
+    from testbed import metrics
+
+    gnss: Any = log.gnss if log is not None else None
+    return metrics.score(trajectory, solution, windows_of(scenario, trajectory, log), errors=errors, gnss=gnss)

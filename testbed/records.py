@@ -1,0 +1,426 @@
+"""The three nouns of the bench: `Trajectory` (truth), `SensorLog` (what a filter may know), `NavSolution` (its answer).
+
+Frozen dataclasses of numpy arrays in SI units and radians, checked when made; `to_frame` gives a DataFrame with units in
+the column names (degrees for angles), `save` and `load` use Parquet. Frames: n north-east-down, b forward-right-down,
+quaternions body-to-nav and scalar first. Time is in seconds from the start of the flight.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed import specs
+from testbed.errors import InputError
+from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+STATE_NAMES = (
+    "position_north_m position_east_m position_down_m velocity_north_mps velocity_east_mps velocity_down_mps "
+    "attitude_north_rad attitude_east_rad attitude_down_rad accel_bias_x_mps2 accel_bias_y_mps2 accel_bias_z_mps2 "
+    "gyro_bias_x_radps gyro_bias_y_radps gyro_bias_z_radps"
+).split()
+"""The 15 error states in the order of every ``std`` and ``covariance``: position (m), velocity and attitude (rotation
+vector) in n, accelerometer and gyro bias in b."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of a flight: one manoeuvre of the script."""
+
+    name: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Truth on the IMU grid.
+
+    ``t`` (N,), ``lat``, ``lon`` (rad), ``h`` (m), ``v_n`` (N,3), ``q_nb`` (N,4). ``f_b`` and ``w_ib_b`` (N,3) are the
+    means over (t[k-1], t[k]] of specific force (m/s²) and angular rate (rad/s); row 0, which no interval precedes,
+    repeats row 1. ``extra`` holds further columns (air data, controls), each (N,).
+    """
+
+    t: Array
+    lat: Array
+    lon: Array
+    h: Array
+    v_n: Array
+    q_nb: Array
+    f_b: Array
+    w_ib_b: Array
+    extra: Mapping[str, Array] = field(default_factory=dict)
+    phases: tuple[Phase, ...] = ()
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _check(self, "Trajectory", {"lat": (), "lon": (), "h": (), "v_n": (3,), "q_nb": (4,), "f_b": (3,), "w_ib_b": (3,)})
+        for key, values in self.extra.items():
+            if np.shape(values) != self.t.shape:
+                raise InputError(f"Trajectory: extra column '{key}' has shape {np.shape(values)}, not {self.t.shape}")
+
+    @property
+    def dt(self) -> float:
+        """Sample interval, s."""
+        return float((self.t[-1] - self.t[0]) / (len(self.t) - 1))
+
+    def to_frame(self) -> pd.DataFrame:
+        """Columns ``time_s, lat_deg, lon_deg, alt_m, v_north_mps.., roll_deg.., gyro_x_radps.., accel_x_mps2..``."""
+        import pandas as pd
+
+        columns = _pva_columns(self.t, self.lat, self.lon, self.h, self.v_n, self.q_nb)
+        columns |= _columns("gyro_{}_radps", "xyz", self.w_ib_b) | _columns("accel_{}_mps2", "xyz", self.f_b)
+        return pd.DataFrame(columns | dict(self.extra))
+
+    def save(self, path: str | Path) -> None:
+        """Write Parquet. Quaternions are stored beside the Euler angles so that loading is exact."""
+        frame = self.to_frame().assign(**_quaternion_columns(self.q_nb))
+        meta = {"name": self.name, "phases": [[p.name, p.start, p.end] for p in self.phases], "extra": list(self.extra)}
+        _write(frame, path, "Trajectory", meta)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Trajectory:
+        """Read what `save` wrote. Raises InputError when the file is no Trajectory."""
+        frame, meta = _read(path, "Trajectory")
+        return cls(
+            **_read_pva(frame),
+            f_b=_stack(frame, "accel_{}_mps2", "xyz"),
+            w_ib_b=_stack(frame, "gyro_{}_radps", "xyz"),
+            extra={key: frame[key].to_numpy() for key in meta["extra"]},
+            phases=tuple(Phase(*p) for p in meta["phases"]),
+            name=meta["name"],
+        )
+
+
+@dataclass(frozen=True)
+class ImuSamples:
+    """``t`` (N,), ``gyro`` (N,3) rad/s, ``accel`` (N,3) m/s²: means over the interval that ends at ``t``.
+
+    The first interval starts at ``initial.t`` of the log.
+    """
+
+    t: Array
+    gyro: Array
+    accel: Array
+    spec: ImuSpec = field(default_factory=ImuSpec)
+
+    def __post_init__(self) -> None:
+        _check(self, "SensorLog.imu", {"gyro": (3,), "accel": (3,)})
+
+
+@dataclass(frozen=True)
+class GnssFixes:
+    """``t`` (M,), ``lat``, ``lon`` (rad), ``h`` (m), ``v_n`` (M,3): of the antenna. No rows while there is an outage.
+
+    ``outages`` are the (start, end) times without fixes, as far as the receiver reports them. ``std`` (M,6), where it
+    is given, is the 1-sigma of each fix (m north, east, down; m/s) as the receiver states it.
+    """
+
+    t: Array
+    lat: Array
+    lon: Array
+    h: Array
+    v_n: Array
+    spec: GnssSpec = field(default_factory=GnssSpec)
+    outages: tuple[tuple[float, float], ...] = ()
+    std: Array | None = None
+
+    def __post_init__(self) -> None:
+        _check(self, "SensorLog.gnss", {"lat": (), "lon": (), "h": (), "v_n": (3,)}, minimum=0)
+
+    def measurement_std(self) -> Array:
+        """(M,6) 1-sigma per fix: the receiver's own, else the specification's. Order m N, E, D, then m/s N, E, D."""
+        if self.std is not None:
+            return self.std
+        s = self.spec
+        horizontal = float(np.hypot(s.horizontal_sigma, s.horizontal_markov_sigma))
+        vertical = float(np.hypot(s.vertical_sigma, s.vertical_markov_sigma))
+        row = [horizontal, horizontal, vertical, s.velocity_sigma, s.velocity_sigma, s.velocity_sigma]
+        return np.tile(row, (len(self.t), 1))
+
+
+@dataclass(frozen=True)
+class MagSamples:
+    """``t`` (M,), ``field`` (M,3) in µT along b."""
+
+    t: Array
+    field: Array
+    spec: MagSpec
+
+    def __post_init__(self) -> None:
+        _check(self, "SensorLog.mag", {"field": (3,)}, minimum=0)
+
+
+@dataclass(frozen=True)
+class BaroSamples:
+    """``t`` (M,), ``pressure`` (M,) in Pa."""
+
+    t: Array
+    pressure: Array
+    spec: BaroSpec
+
+    def __post_init__(self) -> None:
+        _check(self, "SensorLog.baro", {"pressure": ()}, minimum=0)
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """Where a filter starts: mean at time ``t`` and ``std`` (15,) in the order of `STATE_NAMES`."""
+
+    t: float
+    lat: float
+    lon: float
+    h: float
+    v_n: Array
+    q_nb: Array
+    accel_bias: Array
+    gyro_bias: Array
+    std: Array
+
+
+@dataclass(frozen=True)
+class SensorLog:
+    """Exactly what a filter may know: recordings, the sensors' specifications, and the initial state. No truth."""
+
+    imu: ImuSamples
+    initial: InitialState
+    gnss: GnssFixes | None = None
+    mag: MagSamples | None = None
+    baro: BaroSamples | None = None
+    name: str = ""
+
+    def to_frame(self) -> pd.DataFrame:
+        """The IMU table: ``time_s, gyro_x_radps.., accel_x_mps2..``. Aiding sensors: see `frames`."""
+        return self.frames()["imu"]
+
+    def frames(self) -> dict[str, pd.DataFrame]:
+        """One DataFrame per sensor that the log has: ``imu``, ``gnss``, ``mag``, ``baro``."""
+        import pandas as pd
+
+        imu = self.imu
+        gyro, accel = _columns("gyro_{}_radps", "xyz", imu.gyro), _columns("accel_{}_mps2", "xyz", imu.accel)
+        out = {"imu": pd.DataFrame({"time_s": imu.t} | gyro | accel)}
+        if (gnss := self.gnss) is not None:
+            lla = {"time_s": gnss.t, "lat_deg": np.degrees(gnss.lat), "lon_deg": np.degrees(gnss.lon), "alt_m": gnss.h}
+            velocity = _columns("v_{}_mps", ("north", "east", "down"), gnss.v_n)
+            out["gnss"] = pd.DataFrame(lla | velocity | ({} if gnss.std is None else _columns("std_{}", range(6), gnss.std)))
+        if self.mag is not None:
+            out["mag"] = pd.DataFrame({"time_s": self.mag.t} | _columns("mag_{}_ut", "xyz", self.mag.field))
+        if self.baro is not None:
+            out["baro"] = pd.DataFrame({"time_s": self.baro.t, "pressure_pa": self.baro.pressure})
+        return out
+
+    def save(self, path: str | Path) -> None:
+        """Write a folder: ``imu.parquet`` and one file per aiding sensor."""
+        folder = Path(path)
+        folder.mkdir(parents=True, exist_ok=True)
+        initial = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self.initial).items()}
+        for key, frame in self.frames().items():
+            meta: dict[str, Any] = {"spec": specs.to_dict(getattr(self, key).spec)}
+            if key == "imu":
+                meta |= {"initial": initial, "name": self.name}
+            elif key == "gnss" and self.gnss is not None:
+                frame = frame.assign(lat_rad=self.gnss.lat, lon_rad=self.gnss.lon)
+                meta["outages"] = list(self.gnss.outages)
+            _write(frame, folder / f"{key}.parquet", f"SensorLog.{key}", meta)
+
+    @classmethod
+    def load(cls, path: str | Path) -> SensorLog:
+        """Read the folder that `save` wrote. Raises InputError when it is none."""
+        folder = Path(path)
+        frame, meta = _read(folder / "imu.parquet", "SensorLog.imu")
+        initial = {k: np.array(v) if isinstance(v, list) else v for k, v in meta["initial"].items()}
+        gyro, accel = _stack(frame, "gyro_{}_radps", "xyz"), _stack(frame, "accel_{}_mps2", "xyz")
+        imu = ImuSamples(frame["time_s"].to_numpy(), gyro, accel, specs.from_dict(ImuSpec, meta["spec"]))
+        gnss, mag, baro = None, None, None
+        if (folder / "gnss.parquet").exists():
+            frame, other = _read(folder / "gnss.parquet", "SensorLog.gnss")
+            gnss = GnssFixes(
+                *(frame[c].to_numpy() for c in ("time_s", "lat_rad", "lon_rad", "alt_m")),
+                v_n=_stack(frame, "v_{}_mps", ("north", "east", "down")),
+                spec=specs.from_dict(GnssSpec, other["spec"]),
+                outages=tuple((a, b) for a, b in other["outages"]),
+                std=_stack(frame, "std_{}", range(6)) if "std_0" in frame else None,
+            )
+        if (folder / "mag.parquet").exists():
+            frame, other = _read(folder / "mag.parquet", "SensorLog.mag")
+            values = _stack(frame, "mag_{}_ut", "xyz")
+            mag = MagSamples(frame["time_s"].to_numpy(), values, specs.from_dict(MagSpec, other["spec"]))
+        if (folder / "baro.parquet").exists():
+            frame, other = _read(folder / "baro.parquet", "SensorLog.baro")
+            spec = specs.from_dict(BaroSpec, other["spec"])
+            baro = BaroSamples(frame["time_s"].to_numpy(), frame["pressure_pa"].to_numpy(), spec)
+        return cls(imu, InitialState(**initial), gnss, mag, baro, meta["name"])
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """What `sense` drew beside a log, for scoring only: the true bias (N,3) at each IMU time, and drawn constants."""
+
+    t: Array
+    accel_bias: Array
+    gyro_bias: Array
+    constants: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Filter innovations: ``t`` (M,), ``value`` (M,m), ``covariance`` (M,m,m), in SI units of the measurement."""
+
+    t: Array
+    value: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        _check(self, "NavSolution.innovations", {"value": (None,), "covariance": (None, None)}, minimum=0, finite=False)
+
+
+@dataclass(frozen=True)
+class NavSolution:
+    """An estimator's answer, usually at the IMU times.
+
+    ``t`` (N,), ``lat``, ``lon``, ``h``, ``v_n``, ``q_nb`` as in `Trajectory`; ``accel_bias``, ``gyro_bias`` (N,3) in b;
+    ``std`` (N,15), 1 sigma in the order of `STATE_NAMES`. ``covariance_t`` (K,) and ``covariance`` (K,15,15) are
+    snapshots for consistency tests (about 1 Hz). ``extras`` maps names to (time (J,), values (J,) or (J,c)) pairs:
+    mode probabilities, fading factors, network outputs. Non-finite values are allowed: the scorer counts them as
+    divergence.
+    """
+
+    t: Array
+    lat: Array
+    lon: Array
+    h: Array
+    v_n: Array
+    q_nb: Array
+    accel_bias: Array | None = None
+    gyro_bias: Array | None = None
+    std: Array | None = None
+    covariance_t: Array | None = None
+    covariance: Array | None = None
+    innovations: Innovations | None = None
+    extras: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        shapes: dict[str, tuple[int | None, ...]] = {"lat": (), "lon": (), "h": (), "v_n": (3,), "q_nb": (4,)}
+        optional: dict[str, tuple[int | None, ...]] = {"accel_bias": (3,), "gyro_bias": (3,), "std": (15,)}
+        shapes |= {key: shape for key, shape in optional.items() if getattr(self, key) is not None}
+        _check(self, "NavSolution", shapes, finite=False)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Columns as in `Trajectory`, then biases and ``std_`` + state name where the estimator gives them."""
+        import pandas as pd
+
+        columns = _pva_columns(self.t, self.lat, self.lon, self.h, self.v_n, self.q_nb)
+        if self.accel_bias is not None:
+            columns |= _columns("accel_bias_{}_mps2", "xyz", self.accel_bias)
+        if self.gyro_bias is not None:
+            columns |= _columns("gyro_bias_{}_radps", "xyz", self.gyro_bias)
+        if self.std is not None:
+            columns |= _columns("std_{}", STATE_NAMES, self.std)
+        return pd.DataFrame(columns)
+
+    def save(self, path: str | Path) -> None:
+        """Write Parquet: the table of `to_frame` (innovations, snapshots and extras are not kept)."""
+        _write(self.to_frame().assign(**_quaternion_columns(self.q_nb)), path, "NavSolution", {})
+
+    @classmethod
+    def load(cls, path: str | Path) -> NavSolution:
+        """Read what `save` wrote."""
+        frame, _ = _read(path, "NavSolution")
+        return cls(
+            **_read_pva(frame),
+            accel_bias=_stack(frame, "accel_bias_{}_mps2", "xyz") if "accel_bias_x_mps2" in frame else None,
+            gyro_bias=_stack(frame, "gyro_bias_{}_radps", "xyz") if "gyro_bias_x_radps" in frame else None,
+            std=_stack(frame, "std_{}", STATE_NAMES) if "std_" + STATE_NAMES[0] in frame else None,
+        )
+
+
+def _check(record: Any, what: str, shapes: dict[str, tuple[int | None, ...]], minimum: int = 2, finite: bool = True) -> None:
+    """Shapes, finite values and increasing time; None in a shape means any length. Arrays become float64."""
+    t = np.ascontiguousarray(record.t, dtype=np.float64)
+    object.__setattr__(record, "t", t)
+    if t.ndim != 1 or len(t) < minimum:
+        raise InputError(f"{what}: needs at least {minimum} samples, has shape {t.shape}")
+    if not np.isfinite(t).all():
+        raise InputError(f"{what}: time is not finite at sample {int(np.argmin(np.isfinite(t)))}")
+    if len(t) > 1 and not (steps := np.diff(t) > 0).all():
+        k = int(np.argmin(steps)) + 1
+        raise InputError(f"{what}: time must increase, but sample {k} is at {t[k]:.6g} s after {t[k - 1]:.6g} s")
+    for name, shape in shapes.items():
+        values = np.ascontiguousarray(getattr(record, name), dtype=np.float64)
+        object.__setattr__(record, name, values)
+        wanted = (len(t), *shape)
+        fits = values.ndim == len(wanted) and all(w in (None, v) for w, v in zip(wanted, values.shape, strict=True))
+        if not fits:
+            raise InputError(f"{what}: '{name}' has shape {values.shape}, expected {wanted}")
+        if finite and not np.isfinite(values).all():
+            k = int(np.argmin(np.isfinite(values).reshape(len(t), -1).all(axis=1)))
+            raise InputError(f"{what}: '{name}' is not finite at sample {k} (t = {t[k]:.6g} s)")
+
+
+def _columns(pattern: str, names: Any, values: Array) -> dict[str, Array]:
+    return {pattern.format(name): values[:, i] for i, name in enumerate(names)}
+
+
+def _stack(frame: pd.DataFrame, pattern: str, names: Any) -> Array:
+    return np.column_stack([frame[pattern.format(name)].to_numpy() for name in names])
+
+
+def _quaternion_columns(q_nb: Array) -> dict[str, Array]:
+    return _columns("q_nb_{}", range(4), q_nb)
+
+
+def _pva_columns(t: Array, lat: Array, lon: Array, h: Array, v_n: Array, q_nb: Array) -> dict[str, Array]:
+    from testbed.rotations import quats_to_eulers
+
+    euler = np.degrees(quats_to_eulers(q_nb))
+    place = {"time_s": t, "lat_deg": np.degrees(lat), "lon_deg": np.degrees(lon), "alt_m": h}
+    velocity = _columns("v_{}_mps", ("north", "east", "down"), v_n)
+    return place | velocity | _columns("{}_deg", ("roll", "pitch", "yaw"), euler)
+
+
+def _read_pva(frame: pd.DataFrame) -> dict[str, Array]:
+    return {
+        "t": frame["time_s"].to_numpy(),
+        "lat": np.radians(frame["lat_deg"].to_numpy()),
+        "lon": np.radians(frame["lon_deg"].to_numpy()),
+        "h": frame["alt_m"].to_numpy(),
+        "v_n": _stack(frame, "v_{}_mps", ("north", "east", "down")),
+        "q_nb": _stack(frame, "q_nb_{}", range(4)),
+    }
+
+
+def _write(frame: pd.DataFrame, path: str | Path, kind: str, meta: dict[str, Any]) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.Table.from_pandas(frame, preserve_index=False)
+    header = {"testbed": json.dumps({"kind": kind} | meta).encode()}
+    pq.write_table(table.replace_schema_metadata(header), path)
+
+
+def _read(path: str | Path, kind: str) -> tuple[pd.DataFrame, dict[str, Any]]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (pa.ArrowInvalid, OSError) as error:
+        raise InputError(f"{path}: not a readable Parquet file ({error})") from None
+    meta = json.loads((table.schema.metadata or {}).get(b"testbed", b"{}"))
+    if meta.get("kind") != kind:
+        raise InputError(f"{path}: holds {meta.get('kind') or 'no record of the testbed'}, expected {kind}")
+    return table.to_pandas(), meta

@@ -1,0 +1,113 @@
+"""Estimators by name: entry points of the group ``testbed.estimators``, and single files given with ``--plugin``.
+
+An estimator is any class with a ``name`` and ``run(log) -> NavSolution``; its constructor's keywords are its parameters.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import inspect
+import sys
+from collections.abc import Iterable
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Protocol
+
+from testbed.errors import InputError, nearest
+from testbed.records import NavSolution, SensorLog, Trajectory
+
+GROUP = "testbed.estimators"
+
+
+class Estimator(Protocol):
+    """What the bench asks of a method under test."""
+
+    name: str
+
+    def run(self, log: SensorLog) -> NavSolution:
+        """The navigation solution that this method makes of a log."""
+        ...
+
+
+class Trainable(Estimator, Protocol):
+    """An estimator that learns before it runs."""
+
+    def fit(self, flights: Iterable[tuple[SensorLog, Trajectory]]) -> None:
+        """Learn from flights whose truth is known."""
+        ...
+
+
+_plugins: dict[str, type] = {}
+
+
+@cache
+def _entries() -> dict[str, EntryPoint]:
+    return {entry.name: entry for entry in entry_points(group=GROUP)}
+
+
+def list_estimators() -> list[str]:
+    """Names that `make_estimator` knows, sorted."""
+    return sorted(set(_entries()) | set(_plugins))
+
+
+def estimator_class(name: str) -> type:
+    """The class behind a name. Raises InputError with the nearest name when there is none."""
+    if name in _plugins:
+        return _plugins[name]
+    if name not in _entries():
+        raise InputError(f"unknown estimator '{name}'; {nearest(name, list_estimators())}")
+    loaded: type = _entries()[name].load()
+    return loaded
+
+
+def make_estimator(name: str, **params: Any) -> Estimator:
+    """Build an estimator. Raises InputError for an unknown name or parameter."""
+    kind = estimator_class(name)
+    known = parameter_names(kind)
+    for key in params:
+        if known is not None and key not in known:
+            raise InputError(f"estimator '{name}' has no parameter '{key}'; {nearest(key, known)}")
+    try:
+        made: Estimator = kind(**params)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"estimator '{name}': {error}") from None
+    return made
+
+
+def parameter_names(kind: type) -> list[str] | None:
+    """Declared parameters of an estimator class; None where its constructor takes any keyword."""
+    if dataclasses.is_dataclass(kind):
+        return [f.name for f in dataclasses.fields(kind) if f.init]
+    parameters = inspect.signature(kind).parameters.values()
+    if any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return None
+    return [p.name for p in parameters]
+
+
+def load_plugin(path: str | Path) -> list[str]:
+    """Load a Python file that the user named and register every estimator class in it; returns their names."""
+    path = Path(path).resolve()
+    if not path.is_file():
+        raise InputError(f"{path}: no such plug-in file")
+    module_name = f"testbed_plugin_{path.stem}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"{path}: not a Python file; a plug-in ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"{path}: the plug-in does not import: {type(error).__name__}: {error}") from error
+    found = {
+        kind.name: kind
+        for kind in vars(module).values()
+        if inspect.isclass(kind) and isinstance(getattr(kind, "name", None), str) and callable(getattr(kind, "run", None))
+        if kind.__module__ == module_name
+    }
+    if not found:
+        raise InputError(f"{path}: no estimator in it; it needs a class with a 'name' and a method run(log)")
+    _plugins.update(found)
+    return sorted(found)

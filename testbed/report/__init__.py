@@ -1,0 +1,36 @@
+"""Reports: a result folder in, ``report.html``, ``report.md``, ``tables.tex`` and ``figures/`` out.
+
+Everything is read from the files of the folder (layout: `testbed.report.results`), so a report can be made again at any time.
+Units are those of the column names: metres, m/s, degrees, seconds; improvements in percent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+
+def render(result_dir: str | Path, svg: bool = True) -> None:
+    """Write ``report.html``, ``report.md``, ``tables.tex`` and ``figures/*.png`` (and ``*.svg``) into a result folder.
+
+    Raises InputError when the folder holds no result.
+    """
+    from testbed.report import figures, html, text
+    from testbed.report.results import load_result
+
+    result = load_result(result_dir)
+    drawn = figures.save_figures(result, result.folder / "figures", svg=svg)
+    (result.folder / "report.md").write_text(text.markdown(result, drawn), encoding="utf-8")
+    (result.folder / "tables.tex").write_text(text.latex(result), encoding="utf-8")
+    (result.folder / "report.html").write_text(html.page(result), encoding="utf-8")
+
+
+def render_index(dirs: Iterable[str | Path], out: str | Path) -> Path:
+    """Write a page with one row per result folder (verdict counts, links) and return its path.
+
+    ``out`` is the page itself or the folder in which ``index.html`` goes; ``index.md`` is written beside it.
+    Raises InputError when a folder holds no result.
+    """
+    from testbed.report import index
+
+    return index.write_index([Path(d) for d in dirs], Path(out))

@@ -1,0 +1,352 @@
+"""The scenario: one TOML file that says what flies, what is sensed, who estimates, what is scored and what is claimed.
+
+`load_scenario` reads it, lays a profile, a variant and single settings over it, and checks it; the result is immutable
+plain data. Angles are in degrees here and nowhere else; every key carries its unit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from testbed import resources
+from testbed.errors import InputError, nearest
+from testbed.flight.config import FlightConfig
+from testbed.formats.config import RecordingConfig
+from testbed.schema import Table, read_toml, validate
+from testbed.sensors.config import InitialConfig, SensorsConfig
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class Header(Table):
+    """``[scenario]``: what it is called and where it comes from."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$")
+    title: str = ""
+    source: str = ""
+    notes: str = ""
+
+
+class EstimatorConfig(Table):
+    """``[[estimators]]``: a method under test; ``label`` names its row where one method stands in several rows."""
+
+    name: str
+    label: str = ""
+    params: dict[str, Any] = {}
+    params_file: str | None = None
+    """TOML file with a table ``[params]``, as the tuner writes it; ``params`` stands above it."""
+
+    @property
+    def row(self) -> str:
+        """The name of its row in every table."""
+        return self.label or self.name
+
+
+class Distribution(Table):
+    """How a number of the flight varies from run to run: normal (mean, sigma) or uniform (low, high)."""
+
+    normal: list[float] | None = Field(default=None, min_length=2, max_length=2)
+    uniform: list[float] | None = Field(default=None, min_length=2, max_length=2)
+
+    @model_validator(mode="after")
+    def _one_of(self) -> Distribution:
+        if (self.normal is None) == (self.uniform is None):
+            raise ValueError("give either normal = [mean, sigma] or uniform = [low, high]")
+        return self
+
+
+class MonteCarloConfig(Table):
+    """``[monte_carlo]``: how many runs, from which seed, and what differs between them."""
+
+    runs: int = Field(default=20, ge=1)
+    seed: int = Field(default=1, ge=0)
+    vary: list[Literal["noise", "turn_on", "alignment", "outages", "turbulence", "manoeuvres"]] = [
+        "noise",
+        "turn_on",
+        "alignment",
+        "outages",
+    ]
+    disperse: dict[str, Distribution] = {}
+    """Keys inside ``[flight]``, for example ``"manoeuvres.1.bank_deg"``; used where ``vary`` has ``manoeuvres``."""
+    divergence_position_m: Positive = 100_000.0
+    """A run whose position error passes this anywhere is counted as diverged."""
+    timeout_s: Positive | None = None
+    """Longest time of one estimator on one run."""
+
+
+class WindowConfig(Table):
+    """``[[windows]]``: where errors are scored. ``kind`` outages or phases makes one window for each of them."""
+
+    name: str = ""
+    start: float | None = None
+    end: float | None = None
+    kind: Literal["fixed", "outages", "phases"] = "fixed"
+
+    @model_validator(mode="after")
+    def _complete(self) -> WindowConfig:
+        if self.kind == "fixed":
+            if not self.name or self.start is None or self.end is None:
+                raise ValueError("a window needs name, start and end (or kind = 'outages' or 'phases')")
+            if self.end <= self.start:
+                raise ValueError(f"window '{self.name}' ends at {self.end} s, before it starts at {self.start} s")
+        return self
+
+
+class ClaimConfig(Table):
+    """``[[claims]]``: "``better`` beats ``than`` by so many per cent in this metric and window"."""
+
+    id: str = ""
+    better: str
+    than: str
+    metric: str
+    window: str = "all"
+    paper_improvement_pct: float | None = None
+    text: str = ""
+    variant: str | None = None
+    """The claim is tested only when the scenario runs in this variant."""
+
+
+class TableRow(Table):
+    """A row of a paper's table: a metric, how to scale it, and the paper's figure per column (nan-free; -1 = none)."""
+
+    name: str
+    metric: str
+    window: str = ""
+    unit: str = ""
+    paper: list[float | str]
+
+
+class TableConfig(Table):
+    """``[[tables]]``: a paper's table, to be set beside ours."""
+
+    title: str
+    columns: list[str]
+    window: str = "all"
+    statistic: Literal["mean", "median"] = "mean"
+    rows: list[TableRow]
+    note: str = ""
+
+
+class Scenario(Table):
+    """A checked scenario. Exactly one of ``flight`` and ``recording`` is set."""
+
+    scenario: Header
+    flight: FlightConfig | None = None
+    recording: RecordingConfig | None = None
+    sensors: SensorsConfig | None = None
+    initial: InitialConfig = InitialConfig()
+    estimators: list[EstimatorConfig] = Field(min_length=1)
+    monte_carlo: MonteCarloConfig = MonteCarloConfig()
+    windows: list[WindowConfig] = []
+    claims: list[ClaimConfig] = []
+    tables: list[TableConfig] = []
+    extra: dict[str, Any] = {}
+    """Free tables for tools that go with a scenario: ``[extra.dataset]``, ``[extra.train]``, ``[extra.tune]``."""
+
+    _source: str = PrivateAttr(default="")
+    _variant: str | None = PrivateAttr(default=None)
+    _profile: str | None = PrivateAttr(default=None)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scenario:
+        if (self.flight is None) == (self.recording is None):
+            raise ValueError("a scenario has either [flight] or [recording]")
+        if self.flight is not None and self.sensors is None:
+            raise ValueError("a scenario with [flight] needs [sensors.imu]")
+        rows = [entry.row for entry in self.estimators]
+        for row in rows:
+            if rows.count(row) > 1:
+                raise ValueError(f"two estimators are called '{row}'; give one of them a label")
+        for claim in self.claims:
+            for row in (claim.better, claim.than):
+                if row not in rows:
+                    raise ValueError(f"claim '{claim.id or claim.text}' names '{row}'; {nearest(row, rows)}")
+        return self
+
+    @property
+    def name(self) -> str:
+        """``[scenario] name``."""
+        return self.scenario.name
+
+    @property
+    def source_path(self) -> str:
+        """The file that it was read from."""
+        return self._source
+
+    @property
+    def folder(self) -> Path:
+        """The folder that relative paths of the scenario start from."""
+        return Path(self._source).parent
+
+    @property
+    def variant(self) -> str | None:
+        """The variant laid over it, if any."""
+        return self._variant
+
+    @property
+    def profile(self) -> str | None:
+        """The profile laid over it, if any."""
+        return self._profile
+
+    def active_claims(self) -> list[ClaimConfig]:
+        """The claims that this variant of the scenario tests."""
+        return [claim for claim in self.claims if claim.variant in (None, self._variant)]
+
+    def to_data(self) -> dict[str, Any]:
+        """The resolved scenario as plain data, without what was left at None."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    def to_toml(self) -> str:
+        """The resolved scenario as TOML text that `load_scenario` reads again."""
+        return dump_toml(self.to_data())
+
+    def digest(self) -> str:
+        """Hash of all that determines the results of one run: everything but the number of runs and the claims."""
+        data = self.to_data()
+        data["monte_carlo"].pop("runs")
+        for presentation in ("claims", "tables"):
+            data.pop(presentation, None)
+        return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def list_scenarios() -> dict[str, Path]:
+    """Names and files of the shipped scenarios."""
+    return {path.stem: path for path in sorted(resources.scenario_root().glob("*.toml"))}
+
+
+def find_scenario(name_or_path: str | Path) -> Path:
+    """The file behind a path or the name of a shipped scenario. Raises InputError with the nearest name."""
+    path = Path(name_or_path)
+    if path.suffix == ".toml" or path.exists():
+        if not path.is_file():
+            raise InputError(f"{path}: no such scenario file")
+        return path
+    shipped = list_scenarios()
+    if str(name_or_path) not in shipped:
+        raise InputError(f"unknown scenario '{name_or_path}'; {nearest(str(name_or_path), shipped)}")
+    return shipped[str(name_or_path)]
+
+
+def load_scenario(
+    name_or_path: str | Path,
+    profile: str | None = None,
+    variant: str | None = None,
+    overrides: Mapping[str, Any] | None = None,
+) -> Scenario:
+    """Read and check a scenario.
+
+    ``profile`` and ``variant`` name overlays of the file; ``overrides`` maps dotted keys (list positions are numbers)
+    to values and stands above both. Raises InputError that names the file and the key.
+    """
+    path = find_scenario(name_or_path)
+    data = read_toml(path)
+    overlays = {kind: data.pop(kind, {}) for kind in ("profiles", "variants")}
+    for kind, chosen in (("variants", variant), ("profiles", profile)):
+        if chosen is None:
+            continue
+        if chosen not in overlays[kind]:
+            raise InputError(f"{path}: no [{kind}.{chosen}]; {nearest(chosen, overlays[kind])}")
+        data = merge(data, overlays[kind][chosen])
+    for key, value in (overrides or {}).items():
+        set_key(data, key, value, str(path))
+    _inline_parameter_files(data, path)
+    scenario = validate(Scenario, data, str(path))
+    scenario._source, scenario._variant, scenario._profile = str(path.resolve()), variant, profile
+    _check_estimators(scenario)
+    return scenario
+
+
+def _inline_parameter_files(data: dict[str, Any], path: Path) -> None:
+    """Replace each ``params_file`` by what it says, so that a resolved scenario depends on no other file."""
+    entries = data.get("estimators")
+    for entry in entries if isinstance(entries, list) else []:
+        if isinstance(entry, dict) and isinstance(entry.get("params_file"), str):
+            file = path.parent / entry.pop("params_file")
+            read = read_toml(file).get("params")
+            if not isinstance(read, dict):
+                raise InputError(f"{file}: a parameter file needs a table [params]")
+            entry["params"] = merge(read, entry.get("params", {}))
+
+
+def _check_estimators(scenario: Scenario) -> None:
+    from testbed.registry import list_estimators
+
+    known = list_estimators()
+    for k, entry in enumerate(scenario.estimators):
+        if entry.name not in known:
+            hint = nearest(entry.name, known)
+            raise InputError(f"{scenario.source_path}: 'estimators.{k}.name': unknown estimator '{entry.name}'; {hint}")
+
+
+def merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables are merged key by key; every other value, lists included, is replaced."""
+    out = dict(base)
+    for key, value in overlay.items():
+        both = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)
+        out[key] = merge(out[key], value) if both else value
+    return out
+
+
+def set_key(data: dict[str, Any], key: str, value: Any, source: str) -> None:
+    """Set a dotted key in place, for example ``sensors.gnss.outages`` or ``flight.manoeuvres.0.bank_deg``."""
+    *parents, last = key.split(".")
+    node: Any = data
+    for part in parents:
+        node = node[_position(node, part, key, source)] if isinstance(node, list) else node.setdefault(part, {})
+        if not isinstance(node, dict | list):
+            raise InputError(f"{source}: cannot set '{key}': '{part}' is a single value")
+    node[_position(node, last, key, source) if isinstance(node, list) else last] = value
+
+
+def _position(node: list[Any], part: str, key: str, source: str) -> int:
+    if not part.isdigit() or int(part) >= len(node):
+        raise InputError(f"{source}: cannot set '{key}': '{part}' is not a position from 0 to {len(node) - 1}")
+    return int(part)
+
+
+def parse_setting(text: str) -> tuple[str, Any]:
+    """``KEY=VALUE`` of ``--set``, the value in TOML; a bare word counts as a string."""
+    key, separator, value = text.partition("=")
+    if not separator or not key:
+        raise InputError(f"--set {text}: expected KEY=VALUE, for example monte_carlo.runs=50")
+    try:
+        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), value.strip()
+
+
+def dump_toml(data: Mapping[str, Any], prefix: str = "") -> str:
+    """Plain data as TOML text: values first, then tables, then lists of tables."""
+    lines: list[str] = []
+    nested: list[str] = []
+    for key, value in data.items():
+        name = f"{prefix}{_toml_key(key)}"
+        if isinstance(value, Mapping):
+            body = dump_toml(value, f"{name}.")
+            nested.append(f"\n[{name}]\n{body}" if value else f"\n[{name}]\n")
+        elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+            nested += [f"\n[[{name}]]\n{dump_toml(item, f'{name}.')}" for item in value]
+        else:
+            lines.append(f"{_toml_key(key)} = {_toml_value(value)}\n")
+    return "".join(lines + nested)
+
+
+def _toml_key(key: str) -> str:
+    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else json.dumps(key)
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_toml_key(k)} = {_toml_value(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    return str(value).lower() if isinstance(value, bool) else repr(value)

@@ -1,0 +1,165 @@
+"""Sensor specifications in SI units: what a data sheet promises and a filter may know.
+
+A catalogue entry or scenario table (data-sheet units) becomes one of these; a `SensorLog` carries them. Every figure
+defaults to zero (or no limit), which is the ideal sensor. ``sigma`` figures are one standard deviation over units.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from typing import Any
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class TriadSpec:
+    """Three gyros (unit u = rad/s) or three accelerometers (u = m/s²)."""
+
+    turn_on_bias: float = 0.0
+    """Constant bias drawn at switch-on, u, 1 sigma."""
+    true_bias: Vector | None = None
+    """Known constant bias instead of a drawn one, u (never told to a filter)."""
+    bias_instability: float = 0.0
+    """In-run bias stability: the flat of the Allan deviation, u."""
+    correlation_time_s: float = 200.0
+    """Of the first-order Gauss-Markov process that makes the bias instability."""
+    white_noise: float = 0.0
+    """Noise density: angle or velocity random walk, u/√Hz."""
+    rate_random_walk: float = 0.0
+    """u/√s."""
+    scale_factor: float = 0.0
+    """Relative scale error, 1 sigma per axis."""
+    misalignment: float = 0.0
+    """Rotation of the triad against the frame, rad, 1 sigma per axis."""
+    nonorthogonality: float = 0.0
+    """Axis to axis, rad, 1 sigma per pair."""
+    nonlinearity: float = 0.0
+    """Largest departure from a straight line over the range, relative to the range."""
+    g_sensitivity: float = 0.0
+    """Gyro output per acceleration, (rad/s)/(m/s²), 1 sigma per axis."""
+    bias_temperature: float = 0.0
+    """u/K, 1 sigma per axis."""
+    scale_temperature: float = 0.0
+    """1/K, 1 sigma per axis."""
+    bandwidth_hz: float = math.inf
+    """-3 dB frequency."""
+    range: float = math.inf
+    """Output saturates at ± this, u."""
+    resolution: float = 0.0
+    """One least significant bit, u."""
+
+    def gauss_markov_sigma(self) -> float:
+        """Steady-state sigma (u) of the Gauss-Markov bias whose Allan deviation peaks at ``bias_instability``.
+
+        The Allan deviation of a first-order Gauss-Markov process peaks at 0.6167 sigma, at 1.89 correlation times
+        (IEEE Std 952-1997, eq. C.16, maximised numerically).
+        """
+        return self.bias_instability / 0.6167
+
+
+@dataclass(frozen=True)
+class ImuSpec:
+    """Inertial measurement unit."""
+
+    name: str = "ideal"
+    rate_hz: float = 100.0
+    gyro: TriadSpec = field(default_factory=TriadSpec)
+    accel: TriadSpec = field(default_factory=TriadSpec)
+    lever_arm_b: Vector = (0.0, 0.0, 0.0)
+    """From the reference point of the trajectory to the IMU, m, in b."""
+
+
+@dataclass(frozen=True)
+class GnssSpec:
+    """GNSS receiver that gives position and velocity in n; sigmas are per axis."""
+
+    name: str = "ideal"
+    rate_hz: float = 5.0
+    horizontal_sigma: float = 0.0
+    """White position noise north and east, m."""
+    vertical_sigma: float = 0.0
+    """White height noise, m."""
+    horizontal_markov_sigma: float = 0.0
+    """Gauss-Markov position error north and east, m."""
+    vertical_markov_sigma: float = 0.0
+    """m."""
+    markov_time_s: float = 60.0
+    velocity_sigma: float = 0.0
+    """White velocity noise north, east and down, m/s."""
+    lever_arm_b: Vector = (0.0, 0.0, 0.0)
+    """From the IMU to the antenna, m, in b."""
+    latency_s: float = 0.0
+    """A fix is stamped this long after the moment that it describes."""
+
+
+@dataclass(frozen=True)
+class MagSpec:
+    """Three-axis magnetometer; fields in µT."""
+
+    name: str = "ideal"
+    rate_hz: float = 50.0
+    noise_sigma: float = 0.0
+    """White noise per sample, µT."""
+    turn_on_bias: float = 0.0
+    """Hard iron left after calibration, µT, 1 sigma per axis."""
+    soft_iron: float = 0.0
+    """Elements of the soft-iron matrix, relative, 1 sigma."""
+    misalignment: float = 0.0
+    """rad, 1 sigma per axis."""
+    range: float = math.inf
+    """µT."""
+    resolution: float = 0.0
+    """µT."""
+    declination: float = 0.0
+    """Of the local field, rad east: what a map gives to the filter."""
+    field_n: Vector = (20.0, 0.0, 45.0)
+    """Local field in n at the start, µT."""
+
+
+@dataclass(frozen=True)
+class BaroSpec:
+    """Barometer; pressures in Pa."""
+
+    name: str = "ideal"
+    rate_hz: float = 10.0
+    noise_sigma: float = 0.0
+    """White noise per sample, Pa."""
+    turn_on_bias: float = 0.0
+    """Pa, 1 sigma."""
+    drift: float = 0.0
+    """Random walk, Pa/√s."""
+    minimum: float = 0.0
+    """Pa."""
+    maximum: float = math.inf
+    """Pa."""
+    resolution: float = 0.0
+    """Pa."""
+
+
+def to_dict(spec: Any) -> dict[str, Any]:
+    """A specification as plain data that JSON can hold; infinite limits are left out."""
+
+    def clean(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {k: clean(v) for k, v in value.items() if not (isinstance(v, float) and math.isinf(v))}
+        return list(value) if isinstance(value, tuple) else value
+
+    return clean(asdict(spec))
+
+
+def from_dict(kind: type, data: dict[str, Any]) -> Any:
+    """Inverse of `to_dict` for a specification class. Raises TypeError on an unknown key."""
+    defaults = kind()
+    values: dict[str, Any] = {}
+    for key, value in data.items():
+        current = getattr(defaults, key, None)
+        if is_dataclass(current):
+            values[key] = from_dict(type(current), value)
+        else:
+            values[key] = tuple(value) if isinstance(value, list) else value
+    unknown = set(values) - {f.name for f in fields(kind)}
+    if unknown:
+        raise TypeError(f"{kind.__name__} has no field {', '.join(sorted(unknown))}")
+    return kind(**values)

@@ -1,0 +1,201 @@
+"""The unit of work of a Monte Carlo: one run, from one flight and one seed to the scores of every estimator.
+
+A unit is a pure function of `Setup` and the run's number (but for the seconds that it took), so it may be computed in
+any process, in any order, and again. It returns the bytes of its files; only the main process writes to the disk.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from testbed import details, metrics, pipeline
+from testbed.limits import TimeLimitError, single_threaded, time_limit
+from testbed.records import Array, NavSolution, SensorErrors, SensorLog, Trajectory
+from testbed.registry import list_estimators, load_plugin, make_estimator
+from testbed.scenario import EstimatorConfig, Scenario
+from testbed.windows import Window
+
+ENVELOPE_POINTS = 600
+"""Largest number of times in an error envelope; the spacing is a whole number of seconds."""
+
+Heartbeat = Callable[[int, str], None]
+"""Called with run and estimator row before an estimator starts, and with an empty row when the unit ends."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What every unit of a batch shares."""
+
+    scenario: Scenario
+    plugins: tuple[str, ...] = ()
+    timeout_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one estimator fared: ``ok``, ``diverged``, ``timeout`` or ``failed: reason``, with the reason in full."""
+
+    estimator: str
+    status: str
+    reason: str = ""
+    seconds: float = 0.0
+    samples: int = 0
+
+
+@dataclass
+class UnitResult:
+    """Scores of one run. ``rows`` (estimator, window, metric, value); ``series`` name -> (estimator -> array)."""
+
+    run: int
+    outcomes: list[Outcome] = field(default_factory=list)
+    rows: list[tuple[str, str, str, float]] = field(default_factory=list)
+    series: dict[tuple[str, str], Array] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict)
+    """Files of the folder ``details``, from run 0 only."""
+
+
+class Bench:
+    """A worker's standing equipment: plug-ins loaded once, the flight held as long as runs share it."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
+        known = set(list_estimators())
+        for plugin in setup.plugins:
+            load_plugin(plugin)
+        self._new_names = set(list_estimators()) - known
+        self._trajectory: Trajectory | None = None
+
+    def trajectory(self, run: int) -> Trajectory:
+        """The flight of a run."""
+        if pipeline.flight_varies(self.setup.scenario):
+            return pipeline.fly(self.setup.scenario, run)
+        if self._trajectory is None:
+            self._trajectory = pipeline.fly(self.setup.scenario, 0)
+        return self._trajectory
+
+    def execute(
+        self, run: int, skip: Mapping[str, str] | None = None, heartbeat: Heartbeat | None = None
+    ) -> UnitResult:
+        """Compute a unit. ``skip`` maps estimators that are known to kill or hang a worker to their status."""
+        scenario, result = self.setup.scenario, UnitResult(run)
+        trajectory = self.trajectory(run)
+        log, errors = pipeline.sense(scenario, trajectory, run=run)
+        windows = pipeline.windows_of(scenario, trajectory, log)
+        collected: list[tuple[EstimatorConfig, NavSolution, metrics.ErrorSeries]] = []
+        for entry in scenario.estimators:
+            if skip and entry.row in skip:
+                result.outcomes.append(Outcome(entry.row, _short(skip[entry.row]), skip[entry.row]))
+                continue
+            if heartbeat is not None:
+                heartbeat(run, entry.row)
+            outcome, solution = self._estimate(entry, log)
+            if solution is not None:
+                outcome, series = self._score(result, outcome, solution, trajectory, log, errors, windows)
+                if series is not None and run == 0:
+                    collected.append((entry, solution, series))
+            result.outcomes.append(outcome)
+        if run == 0:
+            result.files = details.make(scenario, trajectory, log, collected)
+        if heartbeat is not None:
+            heartbeat(run, "")
+        return result
+
+    def _estimate(self, entry: EstimatorConfig, log: SensorLog) -> tuple[Outcome, NavSolution | None]:
+        """One estimator on one log; whatever it raises costs only its own row."""
+        limit = self.setup.timeout_s or self.setup.scenario.monte_carlo.timeout_s
+        guard: AbstractContextManager[Any] = time_limit(limit) if limit else nullcontext()
+        samples, start = len(log.imu.t), time.perf_counter()
+        try:
+            with guard, single_threaded():
+                estimator = make_estimator(entry.name, **entry.params)
+                start = time.perf_counter()
+                with np.errstate(all="ignore"):
+                    solution = estimator.run(log)
+                seconds = time.perf_counter() - start
+            if not isinstance(solution, NavSolution):
+                raise TypeError(f"run(log) returned {type(solution).__name__}, not a NavSolution")
+        except TimeLimitError:
+            return Outcome(entry.row, "timeout", f"no answer within {limit:g} s", float(limit or 0), samples), None
+        except (KeyboardInterrupt, MemoryError):
+            raise
+        except BaseException as error:
+            reason = f"{type(error).__name__}: {error}".strip().splitlines()[0][:300]
+            return Outcome(entry.row, f"failed: {reason}", reason, time.perf_counter() - start, samples), None
+        return Outcome(entry.row, "ok", "", seconds, samples), solution
+
+    def _score(
+        self,
+        result: UnitResult,
+        outcome: Outcome,
+        solution: NavSolution,
+        trajectory: Trajectory,
+        log: SensorLog,
+        errors: SensorErrors | None,
+        windows: list[Window],
+    ) -> tuple[Outcome, metrics.ErrorSeries | None]:
+        """Add the rows and series of a solution to the result; a diverged one adds none."""
+        row = outcome.estimator
+        with np.errstate(all="ignore"):
+            try:
+                series = metrics.error_series(trajectory, solution)
+                reason = metrics.divergence(series, self.setup.scenario.monte_carlo.divergence_position_m)
+                if reason:
+                    return Outcome(row, "diverged", reason, outcome.seconds, outcome.samples), series if len(series.t) else None
+                tests = metrics.consistency(series, solution, errors)
+                rows = metrics.score_rows(series, tests, windows)
+                if log.gnss is not None:
+                    rows += metrics.gnss_rows(solution, log.gnss, windows)
+            except Exception as error:
+                reason = f"its solution cannot be scored: {type(error).__name__}: {error}"
+                return Outcome(row, f"failed: {reason}", reason, outcome.seconds, outcome.samples), None
+        result.rows += [(row, *r) for r in rows]
+        for name, values in time_series(series, solution, tests, trajectory).items():
+            result.series[row, name] = values
+        return outcome, series
+
+
+def _short(status: str) -> str:
+    return status if status.startswith("failed") else status.split(":")[0]
+
+
+def envelope_times(trajectory: Trajectory) -> Array:
+    """Times of the error envelopes: every whole second, or every few, so that there are at most `ENVELOPE_POINTS`."""
+    start, end = float(trajectory.t[0]), float(trajectory.t[-1])
+    step = max(1.0, float(np.ceil((end - start) / ENVELOPE_POINTS)))
+    return start + step * np.arange(1, int((end - start + 1e-6) / step) + 1)
+
+
+def time_series(
+    series: metrics.ErrorSeries, solution: NavSolution, tests: dict[str, metrics.Consistency], trajectory: Trajectory
+) -> dict[str, Array]:
+    """Float32 series at `envelope_times`: errors, ``sigma_`` of each, and sums of each test with its ``dof_``."""
+    grid = envelope_times(trajectory)
+    out: dict[str, Array] = {}
+    covered = (grid >= series.t[0] - 1e-6) & (grid <= series.t[-1] + 1e-6)
+    k = metrics.nearest_rows(series.t, grid)
+
+    def sampled(column: Array) -> Array:
+        return np.where(covered, column[k], np.nan).astype(np.float32)
+
+    for i, name in enumerate(metrics.AXES):
+        out[name] = sampled(series.values[:, i])
+    sigma = details.axis_sigmas(solution)
+    if sigma is not None:
+        rows = metrics.nearest_rows(solution.t, grid)
+        for i, name in enumerate(metrics.AXES):
+            out[f"sigma_{name}"] = np.where(covered, sigma[rows, i], np.nan).astype(np.float32)
+    if len(grid) < 2:
+        return out
+    half = 0.5 * (grid[1] - grid[0])
+    for name, test in tests.items():
+        cell = np.floor((test.t - grid[0] + half) / (2 * half)).astype(int)
+        keep = (cell >= 0) & (cell < len(grid))
+        out[name] = np.bincount(cell[keep], test.value[keep], len(grid)).astype(np.float32)
+        out[f"dof_{name}"] = np.bincount(cell[keep], test.dof[keep], len(grid)).astype(np.float32)
+    return out
