@@ -6,6 +6,7 @@ The mechanization is `estimators.strapdown` (Savage 1998). NED frame, SI units a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from testbed.records import NavSolution, SensorLog
 class Ins:
     """Integrates the IMU from ``log.initial``; the initial bias estimates are subtracted throughout."""
 
-    name: str = "ins"
+    name: ClassVar[str] = "ins"
 
     def run(self, log: SensorLog) -> NavSolution:
         """Navigate at the IMU times. There is no covariance: ``std`` is None."""

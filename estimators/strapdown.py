@@ -31,19 +31,32 @@ def coning_sculling(angle, velocity, angle_before, velocity_before):
 
 
 @njit(cache=True)
-def advance(lat, lon, h, v_n, q_nb, angle, velocity, coning, sculling, dt):
-    """One step of ``dt`` (s): returns lat, lon, h, v_n, q_nb at its end and the mean specific force in n.
+def compensate(angle, velocity, coning, sculling):
+    """Rotation vector (rad) and velocity change in the b of the step's start, from increments and their corrections.
 
-    ``angle`` and ``velocity`` are the increments of the step, ``coning`` and ``sculling`` their corrections. Earth and
-    transport rate, Coriolis and gravity are taken at the middle of the step, position by the trapezoid rule.
+    Rotation compensation to second order (Savage part 2, eq. 19): at 1 rad/s, 40 m/s² and 100 Hz the second-order term
+    is 1 mm/s per second, which a flight would notice.
     """
     turn = cross(angle, velocity)
-    body = (
-        velocity[0] + 0.5 * turn[0] + sculling[0],
-        velocity[1] + 0.5 * turn[1] + sculling[1],
-        velocity[2] + 0.5 * turn[2] + sculling[2],
+    twice = cross(angle, turn)
+    return (
+        (angle[0] + coning[0], angle[1] + coning[1], angle[2] + coning[2]),
+        (
+            velocity[0] + 0.5 * turn[0] + twice[0] / 6.0 + sculling[0],
+            velocity[1] + 0.5 * turn[1] + twice[1] / 6.0 + sculling[1],
+            velocity[2] + 0.5 * turn[2] + twice[2] / 6.0 + sculling[2],
+        ),
     )
-    change = quat_rotate(q_nb, body)
+
+
+@njit(cache=True)
+def advance(lat, lon, h, v_n, q_nb, rotation, change_b, dt):
+    """One step of ``dt`` (s): returns lat, lon, h, v_n, q_nb at its end and the mean specific force in n.
+
+    ``rotation`` and ``change_b`` are the rotation vector and velocity change of `compensate`. Earth and transport rate,
+    Coriolis and gravity are taken at the middle of the step, position by the trapezoid rule.
+    """
+    change = quat_rotate(q_nb, change_b)
     half = 0.5 * dt
 
     # Middle of the step, first order: enough for rates of 1e-4 rad/s.
@@ -77,9 +90,9 @@ def advance(lat, lon, h, v_n, q_nb, angle, velocity, coning, sculling, dt):
     lon_end = lon + dt * mean_e / ((rn + mid_h) * cosine)
     h_end = h - dt * mean_d
 
-    rotation = rotvec_to_quat((angle[0] + coning[0], angle[1] + coning[1], angle[2] + coning[2]))
+    body_turn = rotvec_to_quat(rotation)
     frame_turn = rotvec_to_quat((-spin[0] * dt, -spin[1] * dt, -spin[2] * dt))
-    q = quat_multiply(frame_turn, quat_multiply(q_nb, rotation))
+    q = quat_multiply(frame_turn, quat_multiply(q_nb, body_turn))
     # One Newton step keeps the norm: rounding is all that it has to remove.
     scale = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     q_end = (q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale)
@@ -101,7 +114,8 @@ def integrate(t_start, t, gyro, accel, lat, lon, h, v_n, q_nb, accel_bias, gyro_
         dt = t[k] - now
         angle, dv = increments(gyro[k], accel[k], gyro_bias, accel_bias, dt)
         coning, sculling = coning_sculling(angle, dv, angle_before, velocity_before)
-        lat, lon, h, v, q, _ = advance(lat, lon, h, v, q, angle, dv, coning, sculling, dt)
+        rotation, change = compensate(angle, dv, coning, sculling)
+        lat, lon, h, v, q, _ = advance(lat, lon, h, v, q, rotation, change, dt)
         angle_before, velocity_before = angle, dv
         now = t[k]
         store_state(k, lat, lon, h, v, q, lla, velocity, quaternion)

@@ -37,7 +37,7 @@ def _by_signal(seconds: float) -> Iterator[None]:
         raise TimeLimitError
 
     previous = signal.signal(signal.SIGALRM, expire)
-    signal.setitimer(signal.ITIMER_REAL, seconds, max(0.2, 0.1 * seconds))  # again, should a plug-in swallow the first
+    signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
@@ -66,22 +66,31 @@ def _by_injection(seconds: float) -> Iterator[None]:
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """One thread for torch inside the block, as results must not depend on how many cores a worker sees."""
+    """One thread for BLAS, OpenMP and torch inside the block, loaded already or not: results must not depend on cores."""
+    pools: Any = None
+    try:
+        from threadpoolctl import threadpool_limits
+
+        pools = threadpool_limits(1)
+    except ImportError:
+        pass
     torch = sys.modules.get("torch")
-    if torch is None:
-        yield
-        if (loaded := sys.modules.get("torch")) is not None:
-            loaded.set_num_threads(1)
-        return
-    before = torch.get_num_threads()
-    if before != 1:
+    threads = torch.get_num_threads() if torch is not None else 0
+    if torch is not None:
         torch.set_num_threads(1)
-    yield
+    try:
+        with thread_environment():
+            yield
+    finally:
+        if pools is not None:
+            pools.restore_original_limits()
+        if torch is not None:
+            torch.set_num_threads(threads)
 
 
 @contextmanager
 def thread_environment() -> Iterator[None]:
-    """Processes that are started inside the block load their numerical libraries with one thread."""
+    """Processes that are started and libraries that are loaded inside the block use one thread."""
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     try:

@@ -49,6 +49,12 @@ _TIME_TOLERANCE = 1e-9
 _GNSS_QUANTITIES = QUANTITIES[:9]
 
 
+def metric_names() -> list[str]:
+    """Every metric that a table may hold."""
+    plain = [f"{s}_{q}" for s in STATISTICS for q in QUANTITIES]
+    return [*plain, *NEES_GROUPS, "nis", *(f"{s}_gnss_{q}" for s in ("rmse", "mean") for q in _GNSS_QUANTITIES), "diverged"]
+
+
 @dataclass(frozen=True)
 class ErrorSeries:
     """Errors of a solution at its own times ``t`` (N,): ``values`` (N,9) as `AXES`, ``phi`` (N,3) rotation vector, rad."""

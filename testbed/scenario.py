@@ -257,7 +257,7 @@ def load_scenario(
     for key, value in (overrides or {}).items():
         set_key(data, key, value, str(path))
     _inline_parameter_files(data, path)
-    scenario = validate(Scenario, data, str(path))
+    scenario = validate(Scenario, data, str(path), path.resolve().parent)
     scenario._source, scenario._variant, scenario._profile = str(path.resolve()), variant, profile
     _check_estimators(scenario)
     return scenario

@@ -38,10 +38,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: {error}") from None
 
 
-def validate(model: type[Model], data: Mapping[str, Any], source: str) -> Model:
-    """Build ``model`` from plain data, or raise one InputError that lists each wrong key of ``source``."""
+def validate(model: type[Model], data: Mapping[str, Any], source: str, folder: Path | None = None) -> Model:
+    """Build ``model`` from plain data, or raise one InputError that lists each wrong key of ``source``.
+
+    Relative file names in the data start from ``folder``.
+    """
     try:
-        return model.model_validate(data)
+        return model.model_validate(data, context={} if folder is None else {"folder": folder})
     except ValidationError as error:
         problems = [_explain(model, dict(problem)) for problem in error.errors()]
         raise InputError("\n".join(f"{source}: {problem}" for problem in problems)) from None

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from testbed import details, metrics, pipeline
-from testbed.limits import TimeLimitError, single_threaded, time_limit
+from testbed.limits import TimeLimitError, time_limit
 from testbed.records import Array, NavSolution, SensorErrors, SensorLog, Trajectory
-from testbed.registry import list_estimators, load_plugin, make_estimator
+from testbed.registry import load_plugin, make_estimator
 from testbed.scenario import EstimatorConfig, Scenario
 from testbed.windows import Window
 
@@ -65,10 +65,8 @@ class Bench:
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
-        known = set(list_estimators())
         for plugin in setup.plugins:
             load_plugin(plugin)
-        self._new_names = set(list_estimators()) - known
         self._trajectory: Trajectory | None = None
 
     def trajectory(self, run: int) -> Trajectory:
@@ -84,9 +82,12 @@ class Bench:
     ) -> UnitResult:
         """Compute a unit. ``skip`` maps estimators that are known to kill or hang a worker to their status."""
         scenario, result = self.setup.scenario, UnitResult(run)
-        trajectory = self.trajectory(run)
-        log, errors = pipeline.sense(scenario, trajectory, run=run)
-        windows = pipeline.windows_of(scenario, trajectory, log)
+        try:
+            trajectory = self.trajectory(run)
+            log, errors = pipeline.sense(scenario, trajectory, run=run)
+            windows = pipeline.windows_of(scenario, trajectory, log)
+        except Exception as error:
+            return lost(self.setup, run, f"no data: {_reason(error)}")
         collected: list[tuple[EstimatorConfig, NavSolution, metrics.ErrorSeries]] = []
         for entry in scenario.estimators:
             if skip and entry.row in skip:
@@ -112,7 +113,7 @@ class Bench:
         guard: AbstractContextManager[Any] = time_limit(limit) if limit else nullcontext()
         samples, start = len(log.imu.t), time.perf_counter()
         try:
-            with guard, single_threaded():
+            with guard:
                 estimator = make_estimator(entry.name, **entry.params)
                 start = time.perf_counter()
                 with np.errstate(all="ignore"):
@@ -125,7 +126,7 @@ class Bench:
         except (KeyboardInterrupt, MemoryError):
             raise
         except BaseException as error:
-            reason = f"{type(error).__name__}: {error}".strip().splitlines()[0][:300]
+            reason = _reason(error)
             return Outcome(entry.row, f"failed: {reason}", reason, time.perf_counter() - start, samples), None
         return Outcome(entry.row, "ok", "", seconds, samples), solution
 
@@ -152,12 +153,21 @@ class Bench:
                 if log.gnss is not None:
                     rows += metrics.gnss_rows(solution, log.gnss, windows)
             except Exception as error:
-                reason = f"its solution cannot be scored: {type(error).__name__}: {error}"
+                reason = f"its solution cannot be scored: {_reason(error)}"
                 return Outcome(row, f"failed: {reason}", reason, outcome.seconds, outcome.samples), None
         result.rows += [(row, *r) for r in rows]
         for name, values in time_series(series, solution, tests, trajectory).items():
             result.series[row, name] = values
         return outcome, series
+
+
+def lost(setup: Setup, run: int, reason: str) -> UnitResult:
+    """A run that no estimator saw, for example because its dispersed flight could not be flown."""
+    return UnitResult(run, [Outcome(entry.row, f"failed: {reason}", reason) for entry in setup.scenario.estimators])
+
+
+def _reason(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}".strip().splitlines()[0][:300]
 
 
 def _short(status: str) -> str:

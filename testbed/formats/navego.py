@@ -13,7 +13,6 @@ specific force against the increments of its reference is 0.1 ± 0.2 ms, where a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,10 @@ import numpy as np
 
 from testbed import specs
 from testbed.errors import InputError, nearest
+from testbed.formats.alignment import REFERENCE_STD, Aligned, cut_before, from_first_fix, reference_at
 from testbed.formats.recording import Recording, check_finite, check_place, check_time, existing, reference_on_grid
 from testbed.records import Array, BaroSamples, GnssFixes, ImuSamples, InitialState, MagSamples, SensorLog, Trajectory
-from testbed.rotations import euler_to_quat, eulers_to_quats, quats_to_eulers, quats_to_matrices
+from testbed.rotations import euler_error_matrix, euler_to_quat, eulers_to_quats
 from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 
 STRUCTS = ("imu", "gnss", "ref", "mag", "baro")
@@ -53,7 +53,8 @@ def load(
     reference = _reference(Struct(paths["ref"], "ref"), grid) if "ref" in paths else None
     initial = _stored_initial(imu_struct)
     if initial is None:
-        initial, gnss = _initial(imu_struct, imu.spec, t_start, gnss, reference, start)
+        aligned = _initial(imu_struct, imu, gnss, reference, start)
+        imu, gnss, initial = aligned.imu, aligned.gnss, aligned.initial
     return Recording(SensorLog(imu, initial, gnss, mag, baro, Path(folder).name), reference)
 
 
@@ -182,7 +183,7 @@ def _gnss(struct: Struct) -> GnssFixes:
     v_n = struct.series("vel", 3)
     metres, speed = struct.vector("stdm"), struct.vector("stdv")
     for field, values in (("stdm", metres), ("stdv", speed)):
-        if not np.isfinite(values).all() or (values <= 0.0).any():
+        if not struct.has("testbed_spec") and (not np.isfinite(values).all() or (values <= 0.0).any()):
             raise InputError(f"{struct.place(field)} is {values.tolist()}, expected finite values above 0")
     spec = _stored_spec(struct, GnssSpec) or GnssSpec(
         name=_text(struct, "name") or "navego gnss",
@@ -220,47 +221,27 @@ def _reference(struct: Struct, grid: Array) -> Trajectory:
     return reference_on_grid(grid, t, lat, lon, h, v_n, q_nb, str(struct.path))
 
 
-def _initial(
-    struct: Struct, spec: ImuSpec, t: float, gnss: GnssFixes | None, reference: Trajectory | None, start: str
-) -> tuple[InitialState, GnssFixes | None]:
+def _initial(struct: Struct, imu: ImuSamples, gnss: GnssFixes | None, reference: Trajectory | None, start: str) -> Aligned:
     """Attitude from ini_align with ini_align_err; place from the first fix or the reference; biases zero, turn-on sigma."""
-    roll, pitch, yaw = check_finite(struct.vector("ini_align"), struct.place("ini_align"))
-    q_nb = np.array(euler_to_quat(roll, pitch, yaw))
-    attitude_std = _euler_std_to_n(struct.vector("ini_align_err"), pitch, yaw)
-    bias_std = np.repeat([spec.accel.turn_on_bias, spec.gyro.turn_on_bias], 3)
     if start not in ("gnss", "reference"):
         raise InputError(f"navego: start '{start}' is unknown; {nearest(start, ('gnss', 'reference'))}")
-    source: Any = gnss if start == "gnss" else reference
-    if source is None:
-        raise InputError(f"{struct.path.parent}: start = \"{start}\" needs a file {'gnss' if start == 'gnss' else 'ref'}.mat")
-    fix_std = gnss.measurement_std()[0] if gnss is not None else np.full(6, 1e-3)
-    if abs(source.t[0] - t) > 1.0:
-        raise InputError(f"{struct.path.parent}: the IMU starts at {t:.6g} s, but the {start} at {source.t[0]:.6g} s")
-    t, lat, lon, h = float(t), float(source.lat[0]), float(source.lon[0]), float(source.h[0])
-    if start == "gnss" and gnss is not None:
-        lat, lon, h = _without_lever_arm(lat, lon, h, q_nb, np.array(gnss.spec.lever_arm_b))
-        gnss = _drop_first(gnss)
-    std = np.concatenate([fix_std, attitude_std, bias_std])
-    return InitialState(t, lat, lon, h, source.v_n[0].copy(), q_nb, np.zeros(3), np.zeros(3), std), gnss
-
-
-def _euler_std_to_n(std: Array, pitch: float, yaw: float) -> Array:
-    from testbed.rotations import euler_error_matrix
-
-    return np.sqrt(np.array(euler_error_matrix(0.0, pitch, yaw)) ** 2 @ std**2)
-
-
-def _without_lever_arm(lat: float, lon: float, h: float, q_nb: Array, lever: Array) -> tuple[float, float, float]:
-    from testbed import earth
-
-    north, east, down = quats_to_matrices(q_nb[None])[0] @ lever
-    per_lat, per_lon = earth.metres_per_radian(lat, h)
-    return lat - north / per_lat, lon - east / per_lon, h + down
-
-
-def _drop_first(gnss: GnssFixes) -> GnssFixes:
-    std = None if gnss.std is None else gnss.std[1:]
-    return replace(gnss, t=gnss.t[1:], lat=gnss.lat[1:], lon=gnss.lon[1:], h=gnss.h[1:], v_n=gnss.v_n[1:], std=std)
+    t, spec = float(struct.time()[0]), imu.spec
+    roll, pitch, yaw = check_finite(struct.vector("ini_align"), struct.place("ini_align"))
+    euler_std = check_finite(struct.vector("ini_align_err"), struct.place("ini_align_err"))
+    q_nb = np.array(euler_to_quat(roll, pitch, yaw))
+    bias_std = np.repeat([spec.accel.turn_on_bias, spec.gyro.turn_on_bias], 3)
+    if start == "gnss" and gnss is not None and len(gnss.t):
+        imu, t = cut_before(imu, t, float(gnss.t[0]), str(struct.path.parent))
+        lat, lon, h, v_n, motion_std, gnss = from_first_fix(gnss, t, q_nb)
+    elif start == "reference" and reference is not None:
+        imu, t = cut_before(imu, t, float(reference.t[0]), str(struct.path.parent))
+        lat, lon, h, v_n, _ = reference_at(reference, t)
+        motion_std = gnss.measurement_std()[0] if gnss is not None and len(gnss.t) else REFERENCE_STD[:6]
+    else:
+        raise InputError(f'{struct.path.parent}: start = "{start}" needs a file {"gnss" if start == "gnss" else "ref"}.mat')
+    attitude_std = np.sqrt(np.array(euler_error_matrix(roll, pitch, yaw)) ** 2 @ euler_std**2)
+    std = np.concatenate([motion_std, attitude_std, bias_std])
+    return Aligned(imu, gnss, InitialState(t, lat, lon, h, v_n, q_nb, np.zeros(3), np.zeros(3), std))
 
 
 def _text(struct: Struct, field: str) -> str:

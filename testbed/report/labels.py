@@ -29,7 +29,7 @@ QUANTITIES: dict[str, tuple[str, str]] = {
     "nees_bias": ("NEES bias", ""),
     "nis": ("NIS", ""),
 }
-STATISTICS = {"rmse": "RMSE", "max": "largest error", "final": "error at the end", "mean": "mean error"}
+STATISTICS = {"rmse": "{} RMSE", "max": "largest {} error", "final": "{} error at the end", "mean": "mean {} error"}
 GROUPS: dict[str, list[str]] = {
     "Position": ["north_m", "east_m", "down_m"],
     "Velocity": ["v_north_mps", "v_east_mps", "v_down_mps"],
@@ -57,11 +57,13 @@ def split_metric(metric: str) -> tuple[str, str]:
 
 
 def metric_label(metric: str) -> str:
-    """``rmse_position_3d_m`` -> ``RMSE of 3-D position``."""
+    """``rmse_position_3d_m`` -> ``3-D position RMSE``."""
     statistic, quantity = split_metric(metric)
     name = quantity_label(quantity)
-    name = name if name.isupper() or name.startswith(("NEES", "NIS")) else name[0].lower() + name[1:]
-    return f"{STATISTICS[statistic]}, {name}" if statistic else name
+    if not statistic or name.startswith(("NEES", "NIS")):
+        return name
+    words = STATISTICS[statistic].format(name[0].lower() + name[1:])
+    return words[0].upper() + words[1:]
 
 
 def quantity_label(quantity: str) -> str:

@@ -1,0 +1,239 @@
+"""`direct-ekf`, `stekf`, `rstekf`: loosely coupled INS/GNSS by 15-state total-state extended Kalman filters.
+
+The IMM-RSTEKF paper (2023) with the accelerated motion model alone; loops in `direct_kernels`. Inside: position in
+metres about the start, Euler angles (|pitch| below about 85°); at the edges the bench's conventions. SI, radians, NED.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.indirect_kf import MINIMUM_STD, SNAPSHOT_INTERVAL_S, noise_model, require_gnss
+from testbed import earth
+from testbed.errors import InputError
+from testbed.records import Innovations, NavSolution, SensorLog
+
+Array = NDArray[np.float64]
+MEASUREMENTS = 6
+
+
+@dataclass(frozen=True)
+class DirectFilter:
+    """What every direct filter declares: scales of the specification's standard deviations (1 is the data sheet)."""
+
+    accel_noise_scale: float = 1.0
+    gyro_noise_scale: float = 1.0
+    accel_bias_scale: float = 1.0
+    gyro_bias_scale: float = 1.0
+    position_std_scale: float = 1.0
+    velocity_std_scale: float = 1.0
+
+    name: ClassVar[str] = "direct"
+    parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = {
+        "accel_noise_scale": (1e-3, 1e3, "log"),
+        "gyro_noise_scale": (1e-3, 1e3, "log"),
+        "accel_bias_scale": (1e-3, 1e3, "log"),
+        "gyro_bias_scale": (1e-3, 1e3, "log"),
+        "position_std_scale": (1e-3, 1e3, "log"),
+        "velocity_std_scale": (1e-3, 1e3, "log"),
+    }
+
+    def __post_init__(self) -> None:
+        for key, (low, high, _) in self.parameter_space.items():
+            check_range(self.name, key, getattr(self, key), low, high)
+
+    def problem(self, log: SensorLog) -> DirectProblem:
+        """The log in the filters' own coordinates, with Q and R scaled as declared."""
+        scales = (self.accel_noise_scale, self.gyro_noise_scale, self.accel_bias_scale, self.gyro_bias_scale)
+        return DirectProblem.of(log, self.name, scales, (self.position_std_scale, self.velocity_std_scale))
+
+
+@dataclass(frozen=True)
+class DirectEkf(DirectFilter):
+    """Extended Kalman filter; prediction at every IMU sample, GNSS at its own time."""
+
+    name: ClassVar[str] = "direct-ekf"
+    filter_name: ClassVar[str] = "ekf"
+
+    def tracking(self) -> tuple[float, float]:
+        """(rho, chi-square threshold) of the strong-tracking update: unused by the plain filter."""
+        return 1.0, np.inf
+
+    def run(self, log: SensorLog) -> NavSolution:
+        """Filter the log. Raises InputError when it has no GNSS."""
+        from estimators.direct_kernels import filter_log
+        from estimators.strong_tracking import FILTERS
+
+        task = self.problem(log)
+        figures = np.full((len(task.gnss_t), 2), np.nan)
+        arrays = (*task.outputs, figures)
+        timeline, fixes = (task.start, task.t, task.imu), (task.gnss_t, task.gnss_z, task.gnss_r)
+        x, p = task.x.copy(), task.p.copy()
+        code = FILTERS[self.filter_name]
+        used = filter_log(*timeline, *fixes, x, p, code, task.noise, task.setting, self.tracking(), task.every, arrays)
+        extras = {"test_statistic": (task.gnss_t[:used], figures[:used, 0])}
+        if self.filter_name != "ekf":
+            extras["fading_factor"] = (task.gnss_t[:used], figures[:used, 1])
+        return task.solution(used, extras)
+
+
+@dataclass(frozen=True)
+class Stekf(DirectEkf):
+    """Strong-tracking EKF: the covariance is faded at every fix whose smoothed innovations exceed the prediction."""
+
+    forgetting: float = 0.95
+    """rho of the paper: weight of the past innovations."""
+
+    name: ClassVar[str] = "stekf"
+    filter_name: ClassVar[str] = "stekf"
+    parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = DirectFilter.parameter_space | {
+        "forgetting": (0.0, 1.0, "linear")
+    }
+
+    def tracking(self) -> tuple[float, float]:
+        return self.forgetting, np.inf
+
+
+@dataclass(frozen=True)
+class Rstekf(Stekf):
+    """Refined strong-tracking EKF: fades only when the chi-square test of the innovation fails."""
+
+    significance: float = 0.05
+    """alpha of the test with 6 degrees of freedom: 0.05 is a threshold of 12.592; 0 never fades."""
+
+    name: ClassVar[str] = "rstekf"
+    filter_name: ClassVar[str] = "rstekf"
+    parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = Stekf.parameter_space | {
+        "significance": (0.0, 1.0, "linear")
+    }
+
+    def tracking(self) -> tuple[float, float]:
+        return self.forgetting, chi_square_threshold(self.significance)
+
+
+@dataclass(frozen=True)
+class DirectProblem:
+    """A log in the coordinates of the direct filters, and the arrays that they fill."""
+
+    start: float
+    t: Array
+    imu: Array
+    gnss_t: Array
+    gnss_z: Array
+    """(M,6): scaled position (m) and velocity (m/s) of the antenna."""
+    gnss_r: Array
+    """(M,6): variances."""
+    x: Array
+    p: Array
+    noise: Array
+    """(13,): see `motion_models.add_process_noise`."""
+    setting: Any
+    reference: tuple[float, float, float]
+    every: int
+    outputs: tuple[Array, ...] = field(repr=False)
+
+    @classmethod
+    def of(cls, log: SensorLog, name: str, noise_scales: tuple[float, ...], std_scales: tuple[float, ...]) -> DirectProblem:
+        """Convert ``log``. Raises InputError when it has no GNSS."""
+        from estimators.motion_models import Setting
+        from testbed.rotations import euler_error_matrix, quat_to_euler
+
+        gnss, imu, first = require_gnss(log, name), log.imu, log.initial
+        per_lat, per_lon = earth.metres_per_radian(first.lat, first.h)
+        euler = quat_to_euler(np.asarray(first.q_nb, float))
+        x = np.concatenate([np.zeros(3), first.v_n, euler, first.accel_bias, first.gyro_bias]).astype(float)
+        density, decay, covariance = noise_model(log)
+        to_euler = np.eye(15)
+        to_euler[6:9, 6:9] = np.linalg.inv(np.array(euler_error_matrix(*euler)))
+        setting = Setting(
+            np.array([first.lat, first.h, per_lat, per_lon]),
+            x[9:15].copy(),
+            decay,
+            np.array(gnss.spec.lever_arm_b, dtype=float),
+        )
+        fix_t = gnss.t - gnss.spec.latency_s
+        fixes = np.flatnonzero(fix_t >= first.t - 1e-7)
+        position = earth.position_difference(gnss.lat, gnss.lon, gnss.h, first.lat, first.lon, first.h)
+        local = earth.metres_per_radian(gnss.lat, gnss.h)
+        std = np.maximum(gnss.measurement_std(), MINIMUM_STD) * np.repeat(std_scales, 3)
+        std[:, 0] *= per_lat / local[0]
+        std[:, 1] *= per_lon / local[1]
+        n, m = len(imu.t), len(fixes)
+        every = max(1, round(SNAPSHOT_INTERVAL_S * (n - 1) / (imu.t[-1] - imu.t[0])))
+        shapes = ((n, 15), (n, 15), (n // every, 15, 15), (m, MEASUREMENTS), (m, MEASUREMENTS, MEASUREMENTS))
+        return cls(
+            first.t,
+            imu.t,
+            np.column_stack([imu.gyro, imu.accel]),
+            fix_t[fixes],
+            np.column_stack([*position, gnss.v_n])[fixes],
+            std[fixes] ** 2,
+            x,
+            to_euler @ covariance @ to_euler.T,
+            np.append(density * np.repeat(noise_scales, 3) ** 2, 0.0),
+            setting,
+            (first.lat, first.lon, first.h),
+            every,
+            tuple(np.full(shape, np.nan) for shape in shapes),
+        )
+
+    def solution(self, used: int, extras: dict[str, tuple[Array, Array]]) -> NavSolution:
+        """The answer in the bench's conventions, after ``used`` fixes."""
+        from testbed.rotations import eulers_to_quats, wrap
+
+        states, variances, snapshots, residuals, covariances = self.outputs
+        place, rows = self.setting.place, slice(self.every - 1, None, self.every)
+        lat, h = self.reference[0] + states[:, 0] / place[2], self.reference[2] - states[:, 2]
+        stretch = np.ones((len(self.t), 15))
+        local = earth.metres_per_radian(lat, h)
+        stretch[:, 0], stretch[:, 1] = local[0] / place[2], local[1] / place[3]
+        to_metres = np.ones((used, MEASUREMENTS))
+        k = np.minimum(np.searchsorted(self.t, self.gnss_t[:used]), len(self.t) - 1)
+        to_metres[:, :2] = stretch[k, :2]
+        return NavSolution(
+            self.t,
+            lat,
+            wrap(self.reference[1] + states[:, 1] / place[3]),
+            h,
+            states[:, 3:6],
+            eulers_to_quats(states[:, 6:9]),
+            accel_bias=states[:, 9:12],
+            gyro_bias=states[:, 12:15],
+            std=np.sqrt(variances) * stretch,
+            covariance_t=self.t[rows],
+            covariance=_to_rotation_vector(snapshots, states[rows], stretch[rows]),
+            innovations=Innovations(
+                self.gnss_t[:used],
+                residuals[:used] * to_metres,
+                covariances[:used] * to_metres[:, :, None] * to_metres[:, None, :],
+            ),
+            extras=extras,
+        )
+
+
+def _to_rotation_vector(snapshots: Array, states: Array, stretch: Array) -> Array:
+    """Covariances (K,15,15) of scaled positions and Euler angles as those of metres and a rotation vector in n."""
+    from testbed.rotations import euler_error_matrix
+
+    jacobian = np.zeros((len(snapshots), 15, 15))
+    jacobian[:, range(15), range(15)] = stretch
+    for k, row in enumerate(states):
+        jacobian[k, 6:9, 6:9] = euler_error_matrix(row[6], row[7], row[8])
+    return jacobian @ snapshots @ jacobian.transpose(0, 2, 1)
+
+
+def chi_square_threshold(significance: float) -> float:
+    """Value that a chi-square variable with 6 degrees of freedom exceeds with probability ``significance``."""
+    from scipy.special import chdtri
+
+    return float(chdtri(MEASUREMENTS, significance))
+
+
+def check_range(owner: str, key: str, value: float, low: float, high: float) -> None:
+    """Raises InputError when ``value`` is no number in [low, high]."""
+    if not (np.isfinite(value) and low <= value <= high):
+        raise InputError(f"{owner}: {key} = {value}, must lie between {low:g} and {high:g}")

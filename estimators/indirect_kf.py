@@ -1,0 +1,172 @@
+"""`indirect-kf`: loosely coupled INS/GNSS by a 15-state closed-loop error-state Kalman filter.
+
+Groves, 2nd ed., chapter 14; the loop is `estimators.indirect_kernel`. NED frame, SI units and radians. Q and P0 come
+from the specification and the initial state that the log carries, R from the receiver's stated accuracy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.errors import InputError
+from testbed.records import GnssFixes, Innovations, NavSolution, SensorLog
+from testbed.specs import TriadSpec
+
+Array = NDArray[np.float64]
+
+SNAPSHOT_INTERVAL_S = 1.0
+MINIMUM_STD = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
+"""R of an ideal receiver is zero, which no filter can use: 1 mm and 0.1 mm/s are the least (1 sigma)."""
+
+
+@dataclass(frozen=True)
+class IndirectKf:
+    """Error-state filter with position and velocity fixes.
+
+    Scales multiply a standard deviation (or noise density) of the specification; 1 is the data sheet.
+    """
+
+    accel_noise_scale: float = 1.0
+    gyro_noise_scale: float = 1.0
+    accel_bias_scale: float = 1.0
+    gyro_bias_scale: float = 1.0
+    position_std_scale: float = 1.0
+    velocity_std_scale: float = 1.0
+
+    name: ClassVar[str] = "indirect-kf"
+    parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = {
+        "accel_noise_scale": (1e-3, 1e3, "log"),
+        "gyro_noise_scale": (1e-3, 1e3, "log"),
+        "accel_bias_scale": (1e-3, 1e3, "log"),
+        "gyro_bias_scale": (1e-3, 1e3, "log"),
+        "position_std_scale": (1e-3, 1e3, "log"),
+        "velocity_std_scale": (1e-3, 1e3, "log"),
+    }
+
+    def __post_init__(self) -> None:
+        for key in self.parameter_space:
+            value = getattr(self, key)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"{self.name}: {key} = {value}, must be a positive number")
+
+    def run(self, log: SensorLog) -> NavSolution:
+        """Filter the log. Raises InputError when it has no GNSS."""
+        from estimators.indirect_kernel import filter_log
+
+        gnss = require_gnss(log, self.name)
+        imu = log.imu
+        n, m = len(imu.t), len(gnss.t)
+        lla, v_n, q_nb = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 4))
+        bias, std = np.empty((n, 6)), np.empty((n, 15))
+        stride = max(1, round(SNAPSHOT_INTERVAL_S * (n - 1) / (imu.t[-1] - imu.t[0])))
+        snapshots = np.empty((n // stride, 15, 15))
+        innovation, innovation_covariance = np.full((m, 6), np.nan), np.full((m, 6, 6), np.nan)
+        noise = noise_model(log)
+        q = noise.q * np.repeat([self.accel_noise_scale, self.gyro_noise_scale, self.accel_bias_scale, self.gyro_bias_scale], 3) ** 2
+        r_scale = np.repeat([self.position_std_scale, self.velocity_std_scale], 3)
+        variance = (np.maximum(gnss.measurement_std(), MINIMUM_STD) * r_scale) ** 2
+        filter_log(
+            log.initial.t,
+            imu.t,
+            imu.gyro,
+            imu.accel,
+            gnss.t - gnss.spec.latency_s,
+            np.column_stack([gnss.lat, gnss.lon, gnss.h]),
+            gnss.v_n,
+            variance,
+            np.array(gnss.spec.lever_arm_b, dtype=float),
+            start_vector(log),
+            noise.covariance,
+            q,
+            noise.decay,
+            noise.bias_mean,
+            1,
+            lla,
+            v_n,
+            q_nb,
+            bias,
+            std,
+            stride,
+            snapshots,
+            innovation,
+            innovation_covariance,
+            getattr(type(self), "MODE", 7),
+        )
+        used = np.isfinite(innovation[:, 0])
+        return NavSolution(
+            imu.t,
+            *lla.T,
+            v_n,
+            q_nb,
+            accel_bias=bias[:, :3],
+            gyro_bias=bias[:, 3:],
+            std=std,
+            covariance_t=imu.t[stride - 1 :: stride],
+            covariance=snapshots,
+            innovations=Innovations(gnss.t[used], innovation[used], innovation_covariance[used]),
+        )
+
+
+def require_gnss(log: SensorLog, name: str) -> GnssFixes:
+    """The log's GNSS fixes. Raises InputError when it has none."""
+    if log.gnss is None or len(log.gnss.t) == 0:
+        raise InputError(f"estimator '{name}' needs GNSS fixes, but the log '{log.name}' has none; add [sensors.gnss] or use 'ins'")
+    return log.gnss
+
+
+def start_vector(log: SensorLog) -> Array:
+    """(16,): lat, lon, h, v_n, q_nb, accel bias, gyro bias of the log's initial state."""
+    s = log.initial
+    return np.concatenate([[s.lat, s.lon, s.h], s.v_n, s.q_nb, s.accel_bias, s.gyro_bias]).astype(float)
+
+
+class NoiseModel(NamedTuple):
+    """What the log's specifications imply for a filter."""
+
+    q: Array
+    """(12,) spectral densities, as `error_model.add_noise` takes them."""
+    decay: Array
+    """(2,) inverse correlation time of accelerometer and gyro bias, 1/s."""
+    bias_mean: Array
+    """(6,) what the biases return to."""
+    covariance: Array
+    """(15,15) P0."""
+
+
+def noise_model(log: SensorLog) -> NoiseModel:
+    """Process noise and initial covariance of a log."""
+    spec, start = log.imu.spec, log.initial
+    std = np.array(start.std, dtype=float)
+    dt = (log.imu.t[-1] - start.t) / len(log.imu.t)
+    accel_white, accel_drive, accel_decay, accel_share = triad_noise(spec.accel, std[9:12], dt)
+    gyro_white, gyro_drive, gyro_decay, gyro_share = triad_noise(spec.gyro, std[12:15], dt)
+    q = np.repeat([accel_white, gyro_white, accel_drive, gyro_drive], 3)
+    mean = np.concatenate([accel_share * np.asarray(start.accel_bias), gyro_share * np.asarray(start.gyro_bias)])
+    return NoiseModel(q, np.array([accel_decay, gyro_decay]), mean, np.diag(std**2))
+
+
+def triad_noise(spec: TriadSpec, bias_std: Array, dt: float) -> tuple[float, float, float, float]:
+    """White noise density², bias driving density², inverse correlation time and share of the constant part, of a triad.
+
+    One state per axis stands for the sum of a constant c (turn-on bias) and a Gauss-Markov process g. Its best guess far
+    ahead is ``share`` times the initial estimate, ``share`` = var c / (var c + var g). Taken as Gauss-Markov about that
+    value, with the short-term growth 2 var g / tau of the sum, the state has the right variance at first and at last:
+    it is g itself without c, and a random walk where c dominates. Rounding to one bit adds bit²/12 to each sample.
+    """
+    markov = spec.gauss_markov_sigma() ** 2
+    steady = spec.turn_on_bias**2 + markov
+    share = spec.turn_on_bias**2 / steady if steady > 0.0 else 1.0
+    drive = 2.0 * markov / spec.correlation_time_s
+    final = steady * (1.0 - share**2) + share**2 * float(np.mean(bias_std**2))
+    decay = drive / (2.0 * final) if final > 0.0 else 0.0
+    white = spec.white_noise**2 + spec.resolution**2 / 12.0 * dt
+    return white, drive + spec.rate_random_walk**2, decay, share
+
+
+def with_scales(estimator: IndirectKf, **scales: float) -> IndirectKf:
+    """A copy with other scales."""
+    return replace(estimator, **scales)

@@ -1,0 +1,183 @@
+"""`lkf9`: the INS runs free, a 9-state linear Kalman filter estimates its error, the estimate is subtracted (open loop).
+
+Source: "Error Rate Reduction of a Low-Cost Integrated Navigation System Using Neural Networks" (2018); error model of
+Titterton & Weston, 2nd ed., chapter 12. NED, SI units and radians; errors are INS minus truth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.ins import Ins
+from testbed import earth
+from testbed.errors import InputError
+from testbed.records import GnssFixes, Innovations, NavSolution, SensorLog
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FreeIns:
+    """The uncorrected INS with its start in row 0: ``t`` (N+1,), ``lla`` (N+1,3), ``velocity`` (N+1,3), ``q_nb`` (N+1,4)."""
+
+    t: Array
+    lla: Array
+    velocity: Array
+    q_nb: Array
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Position (M,3) and velocity (M,3) at times ``t``, linear between samples."""
+        lla = np.column_stack([np.interp(t, self.t, column) for column in self.lla.T])
+        return lla, np.column_stack([np.interp(t, self.t, column) for column in self.velocity.T])
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What the filter is fed, in time order.
+
+    ``t`` (M,); ``value`` (M,6) INS minus GNSS: velocity NED (m/s), latitude, longitude (rad), height (m); ``std`` (M,6) in
+    the same units; ``first`` (M,): 0 uses all rows, 3 only the position, 6 nothing.
+    """
+
+    t: Array
+    value: Array
+    std: Array
+    first: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Lkf9:
+    """Open-loop 9-state filter. It knows no biases: what the sensors' biases do looks like attitude noise to it."""
+
+    name: str = "lkf9"
+    process_noise: Literal["printed", "density"] = "printed"
+    """``printed``: Qk = Phi G Q G' Phi' dt with the sample variances in Q, as the paper has it, which exceeds white noise
+    of that size by the IMU rate. ``density``: Q holds the spectral densities of the data sheet."""
+    gyro_noise_scale: float = 1.0
+    """Factor on the gyros' standard deviation in Q."""
+    accel_noise_scale: float = 1.0
+    """Factor on the accelerometers' standard deviation in Q."""
+    earth_radius_m: float = earth.A
+
+    def __post_init__(self) -> None:
+        check_filter(self)
+
+    def run(self, log: SensorLog) -> NavSolution:
+        """Corrected navigation at the IMU times; without fixes the error estimate is only propagated."""
+        ins = free_ins(log)
+        return run_filter(self, log, ins, gnss_measurements(ins, fixes_of(log, self.name)))
+
+
+def check_filter(settings: Lkf9) -> None:
+    """Raise InputError for a parameter out of range."""
+    if settings.process_noise not in ("printed", "density"):
+        raise InputError(f"{settings.name}: process_noise is '{settings.process_noise}', expected 'printed' or 'density'")
+    for key in ("gyro_noise_scale", "accel_noise_scale", "earth_radius_m"):
+        if not 0.0 < getattr(settings, key) < np.inf:
+            raise InputError(f"{settings.name}: {key} is {getattr(settings, key)}, expected a positive number")
+
+
+def fixes_of(log: SensorLog, name: str) -> GnssFixes:
+    """The log's GNSS fixes. Raises InputError when it has no receiver."""
+    if log.gnss is None:
+        raise InputError(f"{name}: the log has no GNSS, which this method needs")
+    return log.gnss
+
+
+def free_ins(log: SensorLog) -> FreeIns:
+    """Run the INS from the initial state to the end without any correction."""
+    start, solution = log.initial, Ins().run(log)
+    return FreeIns(
+        np.concatenate([[start.t], solution.t]),
+        np.vstack([[start.lat, start.lon, start.h], np.column_stack([solution.lat, solution.lon, solution.h])]),
+        np.vstack([start.v_n, solution.v_n]),
+        np.vstack([start.q_nb, solution.q_nb]),
+    )
+
+
+def gnss_measurements(ins: FreeIns, gnss: GnssFixes) -> Measurements:
+    """z = INS minus GNSS at every fix within the INS's time, with the receiver's standard deviations."""
+    t = gnss.t - gnss.spec.latency_s
+    inside = (t > ins.t[0]) & (t <= ins.t[-1])
+    lla, velocity = ins.at(t[inside])
+    place = lla - np.column_stack([gnss.lat, gnss.lon, gnss.h])[inside]
+    place[:, 1] = np.mod(place[:, 1] + np.pi, 2.0 * np.pi) - np.pi
+    std = gnss.measurement_std()[inside]
+    north, east = earth.metres_per_radian(lla[:, 0], lla[:, 2])
+    std = np.column_stack([std[:, 3:], std[:, 0] / north, std[:, 1] / east, std[:, 2]])
+    value = np.hstack([velocity - gnss.v_n[inside], place])
+    return Measurements(t[inside], value, std, np.zeros(int(inside.sum()), dtype=np.int64))
+
+
+def run_filter(settings: Lkf9, log: SensorLog, ins: FreeIns, fed: Measurements) -> NavSolution:
+    """Run the kernel and subtract its estimates from the INS. Innovations are those of the complete fixes only."""
+    from estimators import lkf9_kernels
+
+    imu, radius = log.imu, settings.earth_radius_m
+    rate = imu.spec.rate_hz if settings.process_noise == "printed" else 1.0
+    noise = (
+        rate * (settings.accel_noise_scale * imu.spec.accel.white_noise) ** 2,
+        rate * (settings.gyro_noise_scale * imu.spec.gyro.white_noise) ** 2,
+    )
+    scale = np.array([1.0, 1.0, 1.0, radius, radius, 1.0])
+    every = max(1, round(imu.spec.rate_hz))
+    x, variances, innovations, covariances, snapshots = lkf9_kernels.run(
+        ins.t, imu.accel, ins.lla, ins.velocity, ins.q_nb, fed.t, fed.value * scale, (fed.std * scale) ** 2, fed.first,
+        initial_covariance(log, radius), noise, radius, every,
+    )  # fmt: skip
+    full = fed.first == 0
+    metres = np.ones((int(full.sum()), 6))
+    metres[:, 4] = np.cos(np.interp(fed.t[full], ins.t, ins.lla[:, 0]))
+    metres[:, 5] = -1.0
+    order = [3, 4, 5, 0, 1, 2]
+    covariance = covariances[full] * metres[:, :, None] * metres[:, None, :]
+    rows = np.arange(every - 1, len(imu.t), every)
+    return corrected(
+        ins, x, radius,
+        std=np.sqrt(np.hstack([_bench_diagonal(variances, ins.lla[1:, 0]), np.zeros((len(x), 6))])),
+        covariance_t=imu.t[rows],
+        covariance=_bench_covariance(snapshots, ins.lla[rows + 1, 0]),
+        innovations=Innovations(fed.t[full], (innovations[full] * metres)[:, order], covariance[:, order][:, :, order]),
+    )  # fmt: skip
+
+
+def initial_covariance(log: SensorLog, radius: float) -> Array:
+    """P0 (9,9) in the kernel's units from the initial state's standard deviations."""
+    std = log.initial.std
+    north, east = earth.metres_per_radian(log.initial.lat, log.initial.h)
+    return np.diag(np.concatenate([std[6:9], std[3:6], [std[0] * radius / north, std[1] * radius / east, std[2]]]) ** 2)
+
+
+def corrected(ins: FreeIns, x: Array, radius: float, **rest: object) -> NavSolution:
+    """The INS rows minus the error estimates ``x`` (N,9) of the kernel; ``rest`` goes into the solution."""
+    from estimators.lkf9_kernels import correct_attitudes
+
+    return NavSolution(
+        ins.t[1:],
+        ins.lla[1:, 0] - x[:, 6] / radius,
+        ins.lla[1:, 1] - x[:, 7] / radius,
+        ins.lla[1:, 2] - x[:, 8],
+        ins.velocity[1:] - x[:, 3:6],
+        correct_attitudes(ins.q_nb[1:], x),
+        **rest,  # type: ignore[arg-type]
+    )
+
+
+def _bench_diagonal(variances: Array, lat: Array) -> Array:
+    """Variances (N,9) in the kernel's order and units to those of the bench (position NED, velocity, attitude)."""
+    place = variances[:, 6:9].copy()
+    place[:, 1] *= np.cos(lat) ** 2
+    return np.hstack([place, variances[:, 3:6], variances[:, :3]])
+
+
+def _bench_covariance(covariance: Array, lat: Array) -> Array:
+    """Covariances (K,9,9) to (K,15,15) of the bench: metres NED, attitude phi = -psi; biases, which it lacks, zero."""
+    turn = np.zeros((len(lat), 15, 9))
+    turn[:, 0, 6], turn[:, 1, 7], turn[:, 2, 8] = 1.0, np.cos(lat), -1.0
+    for i in range(3):
+        turn[:, 3 + i, 3 + i], turn[:, 6 + i, i] = 1.0, -1.0
+    return np.asarray(turn @ covariance @ np.swapaxes(turn, 1, 2))

@@ -1,0 +1,56 @@
+"""Strong tracking: a fading factor that reopens a filter whose innovations outgrow its covariance. Kernels only.
+
+Zhou & Frank, *Int. J. Control* 65 (1996), as the IMM-RSTEKF paper (2023) states it, with its refinement: fade only when
+a chi-square test of the innovation fails. Channels (m and m/s) are made comparable by dividing each by its noise
+variance R before traces are taken; the paper adds them as they are, which would let metres drown velocities.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+EKF, STEKF, RSTEKF = 0, 1, 2
+FILTERS = {"ekf": EKF, "stekf": STEKF, "rstekf": RSTEKF}
+
+
+@njit(cache=True)
+def smooth_innovations(mean_square, residual, forgetting, first):
+    """``mean_square`` (m,) = diagonal of Y_k = (rho Y_{k-1} + v v') / (1 + rho), in place; Y_1 = v v'."""
+    for i in range(mean_square.shape[0]):
+        square = residual[i] * residual[i]
+        mean_square[i] = square if first else (forgetting * mean_square[i] + square) / (1.0 + forgetting)
+
+
+@njit(cache=True)
+def fading_factor(mean_square, covariance, r):
+    """L = max(1, tr(N (Y - R)) / tr(N H P H')), N = R^-1, of the common channels; ``covariance`` = H P H' + R."""
+    excess, predicted = 0.0, 0.0
+    for i in range(mean_square.shape[0]):
+        excess += mean_square[i] / r[i] - 1.0
+        predicted += covariance[i, i] / r[i] - 1.0
+    if predicted <= 0.0:
+        return 1.0
+    return max(1.0, excess / predicted)
+
+
+@njit(cache=True)
+def whiten(covariance, residual, count, factor, white):
+    """Lower Cholesky ``factor`` of the leading (count, count) block and ``white`` = factor^-1 residual.
+
+    Returns (v' S^-1 v, log det S) of that block.
+    """
+    square, log_det = 0.0, 0.0
+    for i in range(count):
+        for j in range(i + 1):
+            total = covariance[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            factor[i, j] = np.sqrt(total) if i == j else total / factor[j, j]
+        total = residual[i]
+        for k in range(i):
+            total -= factor[i, k] * white[k]
+        white[i] = total / factor[i, i]
+        square += white[i] * white[i]
+        log_det += 2.0 * np.log(factor[i, i])
+    return square, log_det

@@ -1,0 +1,290 @@
+"""From the files of the runs to the tables of a result: one pass in run order, memory independent of their number.
+
+Writes ``metrics.parquet, runs.parquet, summary.csv, timings.csv, claims.csv, improvements.csv, consistency.csv,
+envelopes.parquet``. All but the timings (and the seconds in ``runs.parquet``) are a pure function of scenario and seed.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from testbed import claims, statistics
+from testbed.metrics import AXES, NEES_GROUPS
+from testbed.records import Array
+from testbed.scenario import Scenario
+from testbed.store import ColumnStore, Store, decode
+from testbed.units import UnitResult
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FLOAT_FORMAT = "%.10g"
+SETTLED_S = 30.0
+"""Consistency is judged after this time, when a filter has settled (or after half of a shorter flight)."""
+HEADLINE = ("rmse_position_2d_m", "rmse_position_3d_m", "rmse_velocity_3d_mps", "rmse_attitude_deg", "rmse_yaw_deg")
+"""Metrics that ``improvements.csv`` compares with the first estimator of the scenario."""
+CSV_TABLES = ("summary", "timings", "claims", "improvements", "consistency")
+
+_BLOCK_BYTES = 8_000_000
+_BATCH_RUNS = 50
+
+Cell = tuple[str, str, str]
+
+
+@dataclass
+class Tables:
+    """The tables of a result as data frames."""
+
+    summary: pd.DataFrame
+    claims: pd.DataFrame
+    runs: pd.DataFrame
+    timings: pd.DataFrame
+    improvements: pd.DataFrame
+    consistency: pd.DataFrame
+
+
+@dataclass
+class _Pass:
+    """What the one pass over the runs gathers."""
+
+    cells: dict[Cell, int] = field(default_factory=dict)
+    runs: list[tuple[int, str, str, float, int, str]] = field(default_factory=list)
+    tests: dict[tuple[str, str], statistics.ConsistencySum] = field(default_factory=dict)
+    series: dict[tuple[str, str], int] = field(default_factory=dict)
+    points: int = 0
+
+
+def aggregate(store: Store, scenario: Scenario, runs: Sequence[int], times: Array) -> Tables:
+    """Write every table of the result. ``times`` are those of the envelopes."""
+    scratch = store.out / ".scratch"
+    values, series = ColumnStore(scratch / "values"), ColumnStore(scratch / "series", np.float32)
+    try:
+        gathered = _gather(store, scenario, runs, values, series, len(times))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)
+            tables = _tables(scenario, gathered, values, times)
+            for name in CSV_TABLES:
+                write_csv(store, f"{name}.csv", getattr(tables, name))
+            pure, timed = _split_timed(tables.claims)
+            write_csv(store, "claims.csv", pure)
+            if len(timed):
+                write_csv(store, "claims-timings.csv", timed)
+            write_parquet(store, "runs.parquet", tables.runs)
+            _write_envelopes(store, gathered, series, times)
+    finally:
+        values.close()
+        series.close()
+        scratch.rmdir()
+    return tables
+
+
+def write_csv(store: Store, name: str, frame: pd.DataFrame) -> None:
+    """Ten significant digits, so that equal numbers are equal bytes."""
+    store.write(name, frame.to_csv(index=False, float_format=FLOAT_FORMAT, lineterminator="\n").encode())
+
+
+def write_parquet(store: Store, name: str, frame: pd.DataFrame) -> None:
+    """A data frame as a Parquet file of the folder."""
+    store.write(name, frame.to_parquet(index=False))
+
+
+def claim_values(store: Store, runs: Iterable[int], wanted: Iterable[Cell]) -> dict[Cell, Array]:
+    """Per-run values of a few cells, read from the files of the runs."""
+    cells = list(dict.fromkeys(wanted))
+    columns: dict[Cell, list[float]] = {cell: [] for cell in cells}
+    for run in runs:
+        unit = decode(store.run_path(run))
+        found = {(e, w, m): v for e, w, m, v in unit.rows} | _time_cells(unit)
+        for cell in cells:
+            columns[cell].append(found.get(cell, np.nan))
+    return {cell: np.array(column) for cell, column in columns.items()}
+
+
+def _time_cells(unit: UnitResult) -> dict[Cell, float]:
+    return {
+        (o.estimator, "all", claims.TIME_METRIC): 1e6 * o.seconds / o.samples
+        for o in unit.outcomes
+        if o.status == "ok" and o.samples
+    }
+
+
+def _gather(
+    store: Store, scenario: Scenario, runs: Sequence[int], values: ColumnStore, series: ColumnStore, points: int
+) -> _Pass:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    out = _Pass(points=points)
+    schema = pa.schema(
+        [("run", pa.int64())] + [(name, pa.string()) for name in ("estimator", "window", "metric")] + [("value", pa.float64())]
+    )
+    temporary = store.out / ".scratch" / "metrics.parquet"
+    from testbed.store import writing
+
+    with writing(store.out):
+        with pq.ParquetWriter(temporary, schema) as writer:
+            batch: list[tuple[int, str, str, str, float]] = []
+            for k, run in enumerate(runs, 1):
+                unit = decode(store.run_path(run))
+                _take(unit, out, values, series)
+                batch += [(run, *row) for row in unit.rows]
+                if batch and (k % _BATCH_RUNS == 0 or k == len(runs)):
+                    writer.write_table(pa.table([list(column) for column in zip(*batch, strict=True)], schema=schema))
+                    batch = []
+        temporary.replace(store.out / "metrics.parquet")
+    return out
+
+
+def _take(unit: UnitResult, out: _Pass, values: ColumnStore, series: ColumnStore) -> None:
+    """Add one run to the columns and sums."""
+    out.runs += [(unit.run, o.estimator, o.status, o.seconds, o.samples, o.reason) for o in unit.outcomes]
+    scores: dict[Cell, float] = {(e, w, m): v for e, w, m, v in unit.rows}
+    scores |= {(o.estimator, "all", "diverged"): float(o.status == "diverged") for o in unit.outcomes}
+    scores |= _time_cells(unit)
+    row = np.full(len(out.cells) + len(scores), np.nan)
+    for cell, value in scores.items():
+        row[out.cells.setdefault(cell, len(out.cells))] = value
+    values.append(row[: len(out.cells)])
+    wide = np.full((len(out.series) + len(unit.series), out.points), np.nan, dtype=np.float32)
+    for (estimator, name), column in unit.series.items():
+        if name in NEES_GROUPS or name == "nis":
+            total = out.tests.setdefault(
+                (estimator, name), statistics.ConsistencySum(np.zeros(out.points), np.zeros(out.points))
+            )
+            total.add(_fit(column, out.points), _fit(unit.series[estimator, f"dof_{name}"], out.points))
+        elif not name.startswith("dof_"):
+            wide[out.series.setdefault((estimator, name), len(out.series))] = _fit(column, out.points)
+    series.append(wide[: len(out.series)].ravel())
+
+
+def _fit(column: Array, points: int) -> Array:
+    """A series cut or filled to the number of times; flights of different length have different ones."""
+    if len(column) >= points:
+        return column[:points]
+    return np.concatenate([column, np.full(points - len(column), np.nan, dtype=column.dtype)])
+
+
+def _tables(scenario: Scenario, gathered: _Pass, values: ColumnStore, times: Array) -> Tables:
+    import pandas as pd
+
+    seed = scenario.monte_carlo.seed
+    rows = [entry.row for entry in scenario.estimators]
+
+    def column(estimator: str, window: str, metric: str) -> Array | None:
+        k = gathered.cells.get((estimator, window, metric))
+        return None if k is None else values.columns(k, k + 1)[:, 0]
+
+    runs = pd.DataFrame(gathered.runs, columns=["run", "estimator", "status", "seconds", "samples", "reason"])
+    tested = claims.check_claims(scenario.active_claims(), column, seed)
+    return Tables(
+        summary=_summary(gathered, values, rows, seed),
+        claims=pd.DataFrame(tested, columns=claims.COLUMNS),
+        runs=runs,
+        timings=_timings(runs, rows),
+        improvements=_improvements(gathered, column, rows, seed),
+        consistency=_consistency(gathered, rows, times),
+    )
+
+
+def _summary(gathered: _Pass, values: ColumnStore, rows: list[str], seed: int) -> pd.DataFrame:
+    """Every cell but the computation time, described; estimators in the scenario's order, windows and metrics as they came."""
+    import pandas as pd
+
+    total = len(gathered.cells)
+    width = max(1, min(_BLOCK_BYTES // (8 * max(1, len(values))), _BLOCK_BYTES // (8 * statistics.DRAWS)))
+    parts = [statistics.describe(values.columns(k, min(k + width, total)), seed) for k in range(0, total, width)]
+    keys = pd.DataFrame(list(gathered.cells), columns=["estimator", "window", "metric"])
+    described = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
+    frame = keys.assign(**described)
+    windows = {window: k for k, window in enumerate(dict.fromkeys(keys["window"]))}
+    metrics = {metric: k for k, metric in enumerate(dict.fromkeys(keys["metric"]))}
+    frame = frame[frame["metric"] != claims.TIME_METRIC]
+    order = [frame["estimator"].map(rows.index), frame["window"].map(windows), frame["metric"].map(metrics)]
+    return frame.iloc[np.lexsort([key.to_numpy() for key in reversed(order)])].reset_index(drop=True)
+
+
+def _timings(runs: pd.DataFrame, rows: list[str]) -> pd.DataFrame:
+    """µs per IMU sample of the runs that were finished."""
+    import pandas as pd
+
+    done = runs[(runs["status"] == "ok") & (runs["samples"] > 0)]
+    out = []
+    for row in rows:
+        part = done[done["estimator"] == row]
+        cost = 1e6 * part["seconds"] / part["samples"]
+        samples = int(part["samples"].median()) if len(part) else 0
+        out.append({"estimator": row, "samples": samples, "median_us": cost.median(), "min_us": cost.min()})
+    return pd.DataFrame(out)
+
+
+def _improvements(gathered: _Pass, column: claims.Values, rows: list[str], seed: int) -> pd.DataFrame:
+    """Each estimator against the first one of the scenario: `HEADLINE` metrics in every window that both have."""
+    import pandas as pd
+
+    out = []
+    for window in dict.fromkeys(window for _, window, _ in gathered.cells):
+        for metric in HEADLINE:
+            baseline = column(rows[0], window, metric)
+            for row in rows[1:]:
+                own = column(row, window, metric)
+                measured = statistics.improvement(own, baseline, seed) if own is not None and baseline is not None else None
+                if measured is not None:
+                    numbers = (measured.percent, measured.low, measured.high, measured.p_value, measured.n)
+                    out.append((row, rows[0], window, metric, *numbers))
+    columns = "estimator baseline window metric improvement_pct ci_low ci_high p_value n".split()
+    return pd.DataFrame(out, columns=columns)
+
+
+def _consistency(gathered: _Pass, rows: list[str], times: Array) -> pd.DataFrame:
+    """Run-averaged NEES and NIS over time against their chi-square bounds."""
+    import pandas as pd
+
+    settled = min(SETTLED_S, 0.5 * float(times[-1])) if len(times) else 0.0
+    out: list[dict[str, Any]] = []
+    for row in rows:
+        for name in (*NEES_GROUPS, "nis"):
+            if (total := gathered.tests.get((row, name))) is None:
+                continue
+            states = NEES_GROUPS.get(name)
+            dof = float(states.stop - states.start) if states else _sample_dof(total)
+            out.append({"estimator": row, "quantity": name} | total.summary(times, settled, dof))
+    columns = "estimator quantity dof n_runs mean lower upper share_inside".split()
+    return pd.DataFrame(out, columns=columns)
+
+
+def _sample_dof(total: statistics.ConsistencySum) -> float:
+    """NIS is pooled over the innovations of a grid cell: state it per cell of one run."""
+    used = total.dof > 0
+    return float(np.median(total.dof[used]) / max(1, total.runs)) if used.any() else np.nan
+
+
+def _write_envelopes(store: Store, gathered: _Pass, series: ColumnStore, times: Array) -> None:
+    """``envelopes.parquet``, one quantity of one estimator at a time, in blocks of times."""
+    import pandas as pd
+
+    points, frames = gathered.points, []
+    width = max(1, _BLOCK_BYTES // (8 * max(1, len(series))))
+    for (estimator, quantity), k in gathered.series.items():
+        if quantity not in AXES:
+            continue
+        s = gathered.series.get((estimator, f"sigma_{quantity}"))
+        parts = []
+        for a in range(0, points, width):
+            b = min(a + width, points)
+            sigma = None if s is None else series.columns(s * points + a, s * points + b)
+            parts.append(statistics.envelope(series.columns(k * points + a, k * points + b), sigma))
+        data = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        frames.append(pd.DataFrame({"estimator": estimator, "time_s": times, "quantity": quantity} | data))
+    columns = "estimator time_s quantity mean p05 p95 rms sigma".split()
+    write_parquet(store, "envelopes.parquet", pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns))
+
+
+def _split_timed(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Claims on computation time stand apart: they are no pure function of scenario and seed."""
+    timed = frame["metric"] == claims.TIME_METRIC
+    return frame[~timed], frame[timed]

@@ -1,0 +1,128 @@
+"""Regression between two results: which metrics changed beyond their statistical error, and which way.
+
+Runs of the same flights, sensors and seed are paired (Wilcoxon signed-rank), others independent (Welch's t-test). The
+p-values are corrected for the number of metrics with Holm's method, so an unchanged pair of results is called unchanged
+in 95 % of all comparisons. Lower is better for every metric that is compared: all ``rmse_`` and the share of lost runs.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from testbed.records import Array
+from testbed.statistics import difference_interval, signed_rank
+from testbed.store import Store, open_result
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ALPHA = 0.05
+SMALLEST_PCT = 0.1
+"""A change below this is the same, however certain: rounding of another order of operations is no regression."""
+LOST = "lost_runs"
+"""The compared share of runs that did not end ``ok``."""
+COLUMNS = "estimator window metric old new change_pct ci_low ci_high p_value verdict".split()
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """``table`` with `COLUMNS`; ``ci_low`` and ``ci_high`` bound ``new - old``; ``verdict`` is same, better or worse."""
+
+    table: pd.DataFrame
+    paired: bool
+
+    @property
+    def worse(self) -> bool:
+        """Whether any metric got worse, or an estimator is gone."""
+        return bool((self.table["verdict"].isin(["worse", "missing"])).any())
+
+
+def compare(old: str | Path, new: str | Path, smallest_pct: float = SMALLEST_PCT) -> Comparison:
+    """Compare two result folders. Raises InputError when one is none."""
+    import pandas as pd
+
+    stores = open_result(old), open_result(new)
+    paired = _same_data(*stores)
+    before, after = (_values(store) for store in stores)
+    rows: list[dict[str, Any]] = []
+    for cell, a in before.items():
+        row: dict[str, Any] = dict(zip(("estimator", "window", "metric"), cell, strict=True))
+        if (b := after.get(cell)) is None:
+            rows.append(row | {"old": a.mean(), "verdict": "missing"})
+        else:
+            rows.append(row | _change(a, b, paired))
+    table = pd.DataFrame(rows, columns=COLUMNS)
+    certain = holm(table["p_value"].to_numpy(dtype=float)) < ALPHA
+    large = table["change_pct"].abs() > smallest_pct
+    exact = table["p_value"].isna() & (paired & table["change_pct"].notna())
+    moved = large & (certain | exact)
+    table.loc[table["verdict"].isna(), "verdict"] = "same"
+    table.loc[moved & (table["change_pct"] > 0), "verdict"] = "worse"
+    table.loc[moved & (table["change_pct"] < 0), "verdict"] = "better"
+    return Comparison(table, paired)
+
+
+def holm(p_values: Array) -> Array:
+    """Holm's step-down adjusted p-values; NaN stays NaN and does not count."""
+    out = np.full(len(p_values), np.nan)
+    known = np.flatnonzero(np.isfinite(p_values))
+    order = known[np.argsort(p_values[known], kind="stable")]
+    factors = len(order) - np.arange(len(order))
+    out[order] = np.minimum(1.0, np.maximum.accumulate(p_values[order] * factors))
+    return out
+
+
+def _change(a: pd.Series, b: pd.Series, paired: bool) -> dict[str, float]:
+    """One metric's change; a and b are indexed by run."""
+    from scipy.stats import ttest_ind
+
+    if paired:
+        common = a.index.intersection(b.index)
+        a, b = a[common], b[common]
+    x, y = a.to_numpy(dtype=float), b.to_numpy(dtype=float)
+    if len(x) == 0 or len(y) == 0:
+        return {"old": math.nan, "new": math.nan}
+    old, new = float(x.mean()), float(y.mean())
+    change = 100.0 * (new / old - 1.0) if old != 0.0 else math.copysign(math.inf, new) if new else 0.0
+    out = {"old": old, "new": new, "change_pct": change}
+    if min(len(x), len(y)) < 2:
+        return out
+    low, high = difference_interval(y, x, paired)
+    equal = np.array_equal(x, y) or (np.ptp(x) == 0.0 and np.ptp(y) == 0.0 and old == new)
+    p_value = 1.0 if equal else signed_rank(y, x) if paired else float(ttest_ind(y, x, equal_var=False).pvalue)
+    return out | {"ci_low": low, "ci_high": high, "p_value": p_value}
+
+
+def _values(store: Store) -> dict[tuple[str, str, str], pd.Series]:
+    """Per-run values, indexed by run, of each metric that is compared."""
+    import pandas as pd
+    import pyarrow.compute as pc
+    import pyarrow.dataset as ds
+
+    rmse = pc.starts_with(ds.field("metric"), "rmse_")
+    frame = ds.dataset(store.out / "metrics.parquet").to_table(filter=rmse).to_pandas()
+    runs = pd.read_parquet(store.out / "runs.parquet")
+    lost = runs.assign(window="all", metric=LOST, value=(runs["status"] != "ok").astype(float))
+    both = pd.concat([frame, lost[frame.columns]], ignore_index=True)
+    return {
+        (str(e), str(w), str(m)): part.set_index("run")["value"]
+        for (e, w, m), part in both.groupby(["estimator", "window", "metric"], sort=False)
+    }
+
+
+def _same_data(old: Store, new: Store) -> bool:
+    """Whether run k of both saw the same sensor data: same flight or recording, sensors, alignment, seed and variation."""
+
+    def data(store: Store) -> dict[str, Any]:
+        scenario = tomllib.loads((store.out / "scenario.toml").read_text(encoding="utf-8"))
+        settings = scenario.get("monte_carlo", {})
+        drawn = {key: settings.get(key) for key in ("seed", "vary", "disperse")}
+        return {key: scenario.get(key) for key in ("flight", "recording", "sensors", "initial")} | drawn
+
+    return data(old) == data(new)

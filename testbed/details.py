@@ -1,0 +1,131 @@
+"""One run in full for the plots: truth, errors with the filter's own sigma, innovations and extras of run 0.
+
+Files of the folder ``details`` of a result, as Parquet bytes, thinned to at most `MAX_ROWS` rows. Units are in the column
+names: metres, m/s, degrees, time in seconds from the start of the flight.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from testbed import rotations, specs
+from testbed.metrics import AXES, ErrorSeries
+from testbed.records import Array, NavSolution, SensorLog, Trajectory
+from testbed.scenario import EstimatorConfig, Scenario
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MAX_ROWS = 3000
+
+Solved = tuple[EstimatorConfig, NavSolution, ErrorSeries]
+
+
+def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Sequence[Solved]) -> dict[str, bytes]:
+    """File name -> content: ``truth.parquet``, ``errors-<slug>.parquet``, ``innovations-``, ``extras-``, ``info.json``."""
+    files = {"truth.parquet": _parquet(_thin(trajectory.to_frame()))}
+    slugs = _slugs([entry.row for entry in scenario.estimators])
+    for entry, solution, series in solved:
+        slug = slugs[entry.row]
+        files[f"errors-{slug}.parquet"] = _parquet(_thin(_errors_frame(solution, series)))
+        if solution.innovations is not None and len(solution.innovations.t):
+            files[f"innovations-{slug}.parquet"] = _parquet(_thin(_innovations_frame(solution)))
+        if solution.extras:
+            files[f"extras-{slug}.parquet"] = _parquet(_extras_frame(solution))
+    if log.gnss is not None:
+        files["gnss.parquet"] = _parquet(_thin(log.frames()["gnss"]))
+    sensors = {key: specs.to_dict(part.spec) for key in ("imu", "gnss", "mag", "baro") if (part := getattr(log, key)) is not None}
+    info: dict[str, Any] = {
+        "name": scenario.name,
+        "title": scenario.scenario.title,
+        "source": scenario.scenario.source,
+        "phases": [[p.name, p.start, p.end] for p in trajectory.phases],
+        "outages": [list(o) for o in log.gnss.outages] if log.gnss is not None else [],
+        "estimators": slugs,
+        "sensors": sensors,
+        "units": "specifications in SI units: rad/s, m/s², m, µT, Pa; noise densities per √Hz",
+    }
+    files["info.json"] = json.dumps(info, indent=1, ensure_ascii=False).encode()
+    return files
+
+
+def axis_sigmas(solution: NavSolution) -> Array | None:
+    """(N,9) the filter's own 1-sigma in the order of `metrics.AXES`, or None where it gives none.
+
+    Euler-angle sigmas come from the rotation-vector sigmas through the inverse of `rotations.euler_error_matrix`, without
+    the correlations, which ``std`` does not carry.
+    """
+    if solution.std is None:
+        return None
+    _, pitch, yaw = rotations.quats_to_eulers(solution.q_nb).T
+    cos_p, tan_p, sin_y, cos_y = np.cos(pitch), np.tan(pitch), np.sin(yaw), np.cos(yaw)
+    north, east, down = (solution.std[:, 6:9] ** 2).T
+    roll = (cos_y**2 * north + sin_y**2 * east) / cos_p**2
+    level = sin_y**2 * north + cos_y**2 * east
+    heading = down + tan_p**2 * (cos_y**2 * north + sin_y**2 * east)
+    return np.column_stack([solution.std[:, :6], np.degrees(np.sqrt(np.column_stack([roll, level, heading])))])
+
+
+def _slugs(rows: Sequence[str]) -> dict[str, str]:
+    """A file-name part for each estimator row, all different."""
+    out: dict[str, str] = {}
+    for row in rows:
+        slug = base = re.sub(r"[^a-z0-9]+", "-", row.lower()).strip("-") or "estimator"
+        k = 2
+        while slug in out.values():
+            slug, k = f"{base}-{k}", k + 1
+        out[row] = slug
+    return out
+
+
+def _errors_frame(solution: NavSolution, series: ErrorSeries) -> pd.DataFrame:
+    import pandas as pd
+
+    columns: dict[str, Array] = {"time_s": series.t}
+    columns |= {name: series.values[:, i] for i, name in enumerate(AXES)}
+    rows = np.searchsorted(solution.t, series.t - 1e-9)
+    if (sigma := axis_sigmas(solution)) is not None:
+        columns |= {f"sigma_{name}": sigma[rows, i] for i, name in enumerate(AXES)}
+    columns |= {"lat_deg": np.degrees(solution.lat[rows]), "lon_deg": np.degrees(solution.lon[rows]), "alt_m": solution.h[rows]}
+    return pd.DataFrame(columns)
+
+
+def _innovations_frame(solution: NavSolution) -> pd.DataFrame:
+    import pandas as pd
+
+    nu = solution.innovations
+    assert nu is not None
+    spread = np.sqrt(np.einsum("kii->ki", nu.covariance))
+    columns = {"time_s": nu.t}
+    columns |= {f"nu_{i}": nu.value[:, i] for i in range(nu.value.shape[1])}
+    columns |= {f"s_{i}": spread[:, i] for i in range(spread.shape[1])}
+    return pd.DataFrame(columns)
+
+
+def _extras_frame(solution: NavSolution) -> pd.DataFrame:
+    import pandas as pd
+
+    parts = []
+    for name, (t, values) in solution.extras.items():
+        values = np.asarray(values, dtype=float).reshape(len(t), -1)
+        step = max(1, -(-len(t) // MAX_ROWS))
+        for component in range(values.shape[1]):
+            data = {"name": name, "component": component, "time_s": t[::step], "value": values[::step, component]}
+            parts.append(pd.DataFrame(data))
+    return pd.concat(parts, ignore_index=True)
+
+
+def _thin(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.iloc[:: max(1, -(-len(frame) // MAX_ROWS))].reset_index(drop=True)
+
+
+def _parquet(frame: pd.DataFrame) -> bytes:
+    buffer = io.BytesIO()
+    frame.to_parquet(buffer, index=False)
+    return buffer.getvalue()

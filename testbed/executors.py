@@ -1,0 +1,274 @@
+"""Where the units of a Monte Carlo are computed: in this process, in a pool of processes, or on a Dask cluster.
+
+The pool and the cluster go through `concurrent.futures.Executor`. A worker that dies or hangs costs at most the units
+in flight, which are computed again; a unit that keeps killing its worker is given up for the estimator that did it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import tempfile
+import threading
+import time
+import types
+from collections.abc import Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from multiprocessing import connection, get_context, parent_process
+from pathlib import Path
+from typing import Any
+
+from testbed.errors import InputError, TestbedError
+from testbed.limits import single_threaded, thread_environment
+from testbed.store import encode
+from testbed.units import Bench, Setup, UnitResult, lost
+
+POLL_S = 0.25
+GRACE_S = 5.0
+"""How long after its time limit an estimator may take to notice, before its worker is killed."""
+ATTEMPTS = 2
+"""A unit that was in flight when so many pools broke is computed alone from then on, to find out whether it is to blame."""
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A unit that is done: the bytes of its file, and those of ``details`` (run 0)."""
+
+    run: int
+    content: bytes
+    files: dict[str, bytes] = field(default_factory=dict)
+
+
+def pack(result: UnitResult) -> Finished:
+    """A unit's result as it travels."""
+    return Finished(result.run, encode(result), result.files)
+
+
+def inline(setup: Setup, runs: Iterable[int]) -> Iterator[Finished]:
+    """Compute the units in this process, one after the other."""
+    with single_threaded():
+        bench = Bench(setup)
+        for run in runs:
+            yield pack(bench.execute(run))
+
+
+_bench: Bench | None = None
+_heartbeats: Path | None = None
+_standing = ExitStack()
+
+
+def _start_worker(setup: Setup, heartbeats: str) -> None:
+    """Runs once in each process of the pool."""
+    global _bench, _heartbeats
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the main process's business
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    _standing.enter_context(single_threaded())
+    _bench, _heartbeats = Bench(setup), Path(heartbeats)
+
+
+def _die_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
+
+
+def _beat(run: int, estimator: str) -> None:
+    assert _heartbeats is not None
+    (_heartbeats / str(os.getpid())).write_text(f"{run}\n{time.time()!r}\n{estimator}")
+
+
+def _work(run: int, skip: dict[str, str]) -> Finished:
+    assert _bench is not None
+    return pack(_bench.execute(run, skip, _beat))
+
+
+class Pool:
+    """A pool of ``jobs`` spawned processes that survives the death of its workers."""
+
+    def __init__(self, setup: Setup, jobs: int) -> None:
+        self.setup, self.jobs = setup, jobs
+        self.limit = setup.timeout_s or setup.scenario.monte_carlo.timeout_s
+        self._folder = tempfile.TemporaryDirectory(prefix="testbed-")
+        self._executor: ProcessPoolExecutor | None = None
+        self._broken: dict[int, int] = {}
+        self._failed_starts = 0
+        self._skip: dict[int, dict[str, str]] = {}
+
+    def run(self, runs: Iterable[int]) -> Iterator[Finished]:
+        """Units in the order in which they are done; two per worker are in flight."""
+        waiting, again = iter(runs), []
+        flying: dict[Future[Finished], int] = {}
+        try:
+            while True:
+                while len(flying) < 2 * self.jobs and (run := next(waiting, None)) is not None:
+                    flying[self._submit(run)] = run
+                if not flying:
+                    break
+                done, _ = wait(flying, timeout=POLL_S, return_when=FIRST_COMPLETED)
+                if self.limit:
+                    self._kill_hanging(self.limit)
+                for future in done:
+                    run = flying.pop(future)
+                    try:
+                        unit = future.result()
+                    except BrokenProcessPool:
+                        again.append(run)
+                    else:
+                        self._failed_starts = 0
+                        yield unit
+                if again:
+                    again += [run for run in flying.values()]
+                    flying.clear()
+                    self._shutdown()
+                    alone = self._suspects(again)
+                    for run in alone:
+                        yield self._alone(run)
+                    for run in sorted(set(again) - set(alone)):
+                        flying[self._submit(run)] = run
+                    again = []
+        finally:
+            self._shutdown()
+            self._folder.cleanup()
+
+    def _submit(self, run: int) -> Future[Finished]:
+        if self._executor is None:
+            arguments = (self.setup, self._folder.name)
+            self._executor = ProcessPoolExecutor(self.jobs, get_context("spawn"), _start_worker, arguments)
+        with thread_environment(), _without_main():
+            try:
+                return self._executor.submit(_work, run, self._skip.get(run, {}))
+            except BrokenProcessPool as error:
+                failed: Future[Finished] = Future()
+                failed.set_exception(error)
+                return failed
+
+    def _kill_hanging(self, limit: float) -> None:
+        """Kill workers whose estimator does not heed its time limit, and give that estimator up for the run."""
+        for pid, run, started, estimator in self._heartbeats():
+            if estimator and time.time() - started > limit + GRACE_S:
+                self._skip.setdefault(run, {})[estimator] = f"timeout: no answer within {limit:g} s, worker killed"
+                self._broken[run] = 0
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+                (Path(self._folder.name) / str(pid)).unlink(missing_ok=True)
+
+    def _heartbeats(self) -> list[tuple[int, int, float, str]]:
+        """(process, run, start, estimator) of what each worker last began; an empty estimator means nothing."""
+        out = []
+        for path in Path(self._folder.name).iterdir():
+            lines = path.read_text().split("\n", 2)
+            if len(lines) == 3:
+                out.append((int(path.name), int(lines[0]), float(lines[1]), lines[2]))
+        return out
+
+    def _suspects(self, lost: list[int]) -> list[int]:
+        """Runs that were being computed in more than `ATTEMPTS` pools that broke."""
+        active = {run for _, run, _, estimator in self._heartbeats() if estimator}
+        for path in Path(self._folder.name).iterdir():
+            path.unlink()
+        for run in active & set(lost):
+            self._broken[run] = self._broken.get(run, 0) + 1
+        if not active:  # the workers died before they began anything
+            self._failed_starts += 1
+            if self._failed_starts > ATTEMPTS:
+                raise TestbedError("the worker processes die when they start; see their messages above, or use --jobs 1")
+        return [run for run in sorted(set(lost)) if self._broken.get(run, 0) >= ATTEMPTS]
+
+    def _alone(self, run: int) -> Finished:
+        """Compute a suspected unit in a pool of its own; whichever estimator kills the worker then is the culprit."""
+        for _ in range(len(self.setup.scenario.estimators) + 2):
+            executor = ProcessPoolExecutor(1, get_context("spawn"), _start_worker, (self.setup, self._folder.name))
+            self._executor = executor
+            try:
+                future = self._submit(run)
+                while not wait([future], timeout=POLL_S).done:
+                    if self.limit:
+                        self._kill_hanging(self.limit)
+                return future.result()
+            except BrokenProcessPool:
+                for _, active, _, estimator in self._heartbeats():
+                    if active == run and estimator:
+                        self._skip.setdefault(run, {})[estimator] = "failed: it ended its worker process (crash or memory)"
+            finally:
+                self._shutdown()
+                for path in Path(self._folder.name).iterdir():
+                    path.unlink()
+        raise TestbedError(f"run {run} ends every worker that computes it")
+
+    def _shutdown(self) -> None:
+        """End the workers at once; what they were doing is lost."""
+        executor, self._executor = self._executor, None
+        if executor is None:
+            return
+        processes = list((executor._processes or {}).values())
+        for process in processes:
+            process.kill()
+        executor.shutdown(wait=True, cancel_futures=True)
+        for process in processes:
+            process.join()
+
+
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    """Spawned workers import the caller's script again, unless it is hidden: a script needs no ``if __name__`` guard."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
+_cluster_benches: dict[tuple[str, tuple[str, ...], float | None], Bench] = {}
+
+
+def cluster_work(setup: Setup, run: int) -> Finished:
+    """A unit on a worker that may never have heard of this batch; its bench stays for the next unit."""
+    key = (setup.scenario.digest(), setup.plugins, setup.timeout_s)
+    if key not in _cluster_benches:
+        _cluster_benches.clear()
+        _standing.enter_context(single_threaded())
+        _cluster_benches[key] = Bench(setup)
+    return pack(_cluster_benches[key].execute(run))
+
+
+def cluster(setup: Setup, runs: Iterable[int], address: str) -> Iterator[Finished]:
+    """Compute the units on the Dask cluster whose scheduler listens at ``address``. Raises InputError without the extra."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError("--scheduler needs the extra 'cluster': pip install 'navigation-testbed[cluster]'") from None
+    from concurrent.futures import CancelledError
+
+    from distributed.comm import CommClosedError
+    from distributed.scheduler import KilledWorker
+
+    try:
+        client: Any = Client(address, timeout=10)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(f"no Dask scheduler answers at {address} ({error})") from None
+    with client:
+        executor = client.get_executor(pure=False)
+        waiting, flying = iter(runs), {}
+        while True:
+            wanted = 2 * max(1, sum(client.nthreads().values()))
+            while len(flying) < wanted and (run := next(waiting, None)) is not None:
+                flying[executor.submit(cluster_work, setup, run)] = run
+            if not flying:
+                return
+            done, _ = wait(flying, return_when=FIRST_COMPLETED)
+            for future in done:
+                run = flying.pop(future)
+                try:
+                    unit = future.result()
+                except KilledWorker:
+                    unit = pack(lost(setup, run, "it ended every Dask worker that computed it"))
+                except (CancelledError, CommClosedError) as error:
+                    raise TestbedError(f"the Dask cluster at {address} is gone; run the same command with --resume") from error
+                yield unit

@@ -1,0 +1,50 @@
+"""Flying: JSBSim flies a scripted manoeuvre; the recorded state becomes an exact truth (`Trajectory`).
+
+`fly_flight` is the one call; flights are cached by the hash of all that determines them. SI units and radians.
+"""
+
+from __future__ import annotations
+
+from testbed.flight.aircraft import list_aircraft
+from testbed.flight.config import FlightConfig
+from testbed.records import Trajectory
+
+__all__ = ["FlightConfig", "fly_flight", "list_aircraft"]
+
+
+def fly_flight(config: FlightConfig, seed: int = 0, use_cache: bool = True) -> Trajectory:
+    """Fly ``config`` and return the truth at ``config.rate_hz``. ``seed`` seeds the turbulence unless the wind has its own.
+
+    Raises FlightError, which names the manoeuvre and the time, when the aircraft cannot fly the script, and InputError
+    for an unknown aircraft.
+    """
+    from testbed.flight import cache
+    from testbed.flight.aircraft import load_aircraft
+
+    aircraft, folder = load_aircraft(config.aircraft)
+    seed = config.wind.seed if config.wind.seed is not None else seed
+    path = cache.path_of(config, folder, seed)
+    if use_cache and (trajectory := cache.load(path)) is not None:
+        return trajectory
+    trajectory = _fly(config, aircraft, folder, seed)
+    if use_cache:
+        cache.store(trajectory, path)
+    return trajectory
+
+
+def _fly(config: FlightConfig, aircraft, folder, seed: int) -> Trajectory:  # type: ignore[no-untyped-def]
+    import numpy as np
+
+    from testbed.earth import G0
+    from testbed.errors import FlightError
+    from testbed.flight.driver import AIR, fly_script
+    from testbed.flight.truth import make_trajectory
+
+    flown = fly_script(config, aircraft, folder, seed)
+    if len(flown.state) < 4:
+        raise FlightError(f"a flight of {len(flown.state)} samples is too short")
+    t = np.arange(len(flown.state)) / config.rate_hz
+    extra = {name: np.interp(t, flown.air_t, flown.air[:, i]) for i, (name, _) in enumerate(AIR)}
+    truth = make_trajectory(flown.state[:, :3], flown.state[:, 3:], config.rate_hz, flown.start)
+    extra["load_factor"] = -truth.f_b[:, 2] / G0
+    return type(truth)(**(vars(truth) | {"extra": extra, "phases": flown.phases, "name": config.aircraft}))

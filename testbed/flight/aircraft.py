@@ -1,0 +1,140 @@
+"""The aircraft folders: which JSBSim model flies, how the autopilot is tuned, and what the aircraft can stand.
+
+``aircraft/<name>/aircraft.toml`` names a model that the jsbsim package ships, or one whose XML lies beside it. Angles
+in the file are in degrees where the key says so, else SI and radians.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from testbed.errors import InputError, nearest
+from testbed.flight import autopilot_kernels as kernels
+from testbed.resources import aircraft_root
+from testbed.schema import Table, read_toml, validate
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class Model(Table):
+    """``[model]``: the JSBSim model and where it keeps what the bench reads and sets."""
+
+    jsbsim: str
+    shipped: bool
+    """True for a model of the jsbsim package, false for XML in this folder."""
+    engine_property: str
+    """Engine speed, or what stands for it; times ``engine_scale`` it is in revolutions per minute."""
+    engine_scale: Positive = 1.0
+    engines: int = Field(default=1, ge=1)
+    payload_property: str = ""
+    """Weight in pounds that a payload adds to."""
+    setup: dict[str, float] = {}
+    """Properties set once after loading: gear up, flaps."""
+    alpha_deg: float = 3.0
+    """Incidence at which the settling before a flight starts."""
+    external_thrust: bool = False
+    """The model has no JSBSim engine that needs to be started."""
+
+
+class Limits(Table):
+    """``[limits]``: beyond these the flight is refused or has failed."""
+
+    speed_min_mps: Positive
+    speed_max_mps: Positive
+    bank_max_deg: Positive
+    load_factor_max: Positive
+    load_factor_min: float
+    alpha_max_deg: Positive
+    """The autopilot keeps below this incidence."""
+    alpha_stall_deg: Positive
+    climb_max_mps: Positive
+    acceleration_mps2: Positive
+
+
+class Autopilot(Table):
+    """``[autopilot]``: gains; the meaning of each is in `autopilot_kernels`."""
+
+    speed_nominal_mps: Positive
+    roll_angle: Positive
+    roll_rate: Positive
+    roll_rate_integral: float
+    roll_rate_feedforward: float
+    roll_rate_limit_dps: Positive
+    pitch_rate: Positive
+    pitch_rate_integral: float
+    load_feedforward: float
+    sideslip: float
+    yaw_rate: float
+    yaw_feedforward: float
+    heading: Positive
+    altitude: Positive
+    climb: Positive
+    climb_integral: float
+    climb_acceleration_mps2: Positive
+    speed: Positive
+    speed_integral: float
+    thrust_to_weight: Positive
+    throttle_trim: float
+    elevator_trim: float = 0.0
+    """Pull (0 to 1) at nominal speed, where the integral starts."""
+
+
+class Aircraft(Table):
+    """``aircraft.toml``."""
+
+    title: str
+    source: str
+    model: Model
+    limits: Limits
+    autopilot: Autopilot
+
+
+def list_aircraft() -> list[str]:
+    """Names of the aircraft that can fly."""
+    return sorted(path.parent.name for path in aircraft_root().glob("*/aircraft.toml"))
+
+
+def load_aircraft(name: str) -> tuple[Aircraft, Path]:
+    """The checked ``aircraft.toml`` and its folder. Raises InputError with the nearest name."""
+    names = list_aircraft()
+    if name not in names:
+        raise InputError(f"unknown aircraft '{name}'; {nearest(name, names)}")
+    folder = aircraft_root() / name
+    return validate(Aircraft, read_toml(folder / "aircraft.toml"), str(folder / "aircraft.toml")), folder
+
+
+def gain_array(aircraft: Aircraft) -> NDArray[np.float64]:
+    """Gains and limits in the order that the kernel indexes."""
+    a, limit = aircraft.autopilot, aircraft.limits
+    out = np.zeros(kernels.GAINS)
+    out[kernels.SPEED_NOMINAL] = a.speed_nominal_mps
+    out[kernels.ROLL_ANGLE] = a.roll_angle
+    out[kernels.ROLL_RATE] = a.roll_rate
+    out[kernels.ROLL_RATE_INTEGRAL] = a.roll_rate_integral
+    out[kernels.ROLL_RATE_FEEDFORWARD] = a.roll_rate_feedforward
+    out[kernels.ROLL_RATE_LIMIT] = np.radians(a.roll_rate_limit_dps)
+    out[kernels.PITCH_RATE] = a.pitch_rate
+    out[kernels.PITCH_RATE_INTEGRAL] = a.pitch_rate_integral
+    out[kernels.LOAD_FEEDFORWARD] = a.load_feedforward
+    out[kernels.SIDESLIP] = a.sideslip
+    out[kernels.YAW_RATE] = a.yaw_rate
+    out[kernels.YAW_FEEDFORWARD] = a.yaw_feedforward
+    out[kernels.HEADING_GAIN] = a.heading
+    out[kernels.ALTITUDE_GAIN] = a.altitude
+    out[kernels.CLIMB_GAIN] = a.climb
+    out[kernels.CLIMB_INTEGRAL_GAIN] = a.climb_integral
+    out[kernels.CLIMB_LIMIT] = limit.climb_max_mps
+    out[kernels.CLIMB_ACCELERATION] = a.climb_acceleration_mps2
+    out[kernels.SPEED_GAIN] = a.speed
+    out[kernels.SPEED_INTEGRAL] = a.speed_integral
+    out[kernels.THRUST_TO_WEIGHT] = a.thrust_to_weight
+    out[kernels.THROTTLE_TRIM] = a.throttle_trim
+    out[kernels.LOAD_FACTOR_MAX] = limit.load_factor_max
+    out[kernels.LOAD_FACTOR_MIN] = limit.load_factor_min
+    out[kernels.ALPHA_MAX] = np.radians(limit.alpha_max_deg)
+    return out

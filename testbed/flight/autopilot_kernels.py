@@ -1,0 +1,146 @@
+"""The autopilot: successive loops from bank, path and speed targets to aileron, elevator, rudder and throttle.
+
+Structure after Stevens and Lewis, *Aircraft Control and Simulation*, chapter 4, and Beard and McLain, chapter 6: rate
+loops inside, coordinated-turn kinematics as feed-forward, load factor and incidence as limits. SI units and radians.
+
+`step` is one tick. Its arrays are indexed by the names below; nothing is allocated.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from testbed.earth import G0
+from testbed.rotations import wrap
+
+# measurements
+ROLL, PITCH, YAW, P, Q, R, AIRSPEED, ALPHA, BETA, HEIGHT, CLIMB_RATE = range(11)
+MEASUREMENTS = 11
+
+# targets
+LATERAL_MODE, BANK, HEADING, VERTICAL_MODE, ALTITUDE, CLIMB, SPEED, BANK_LIMIT, ACCELERATION = range(9)
+AILERON_OFFSET, ELEVATOR_OFFSET, RUDDER_OFFSET = 9, 10, 11
+TARGETS = 12
+HOLD_BANK, HOLD_HEADING = 0.0, 1.0
+HOLD_ALTITUDE, HOLD_CLIMB = 0.0, 1.0
+
+# memory
+ROLL_INTEGRAL, PITCH_INTEGRAL, THROTTLE_INTEGRAL, CLIMB_INTEGRAL, SPEED_REFERENCE, CLIMB_REFERENCE = range(6)
+MEMORY = 6
+
+# commands
+AILERON, ELEVATOR, RUDDER, THROTTLE = range(4)
+
+# gains, in the order of the fields of `aircraft.Gains`
+(
+    SPEED_NOMINAL,
+    ROLL_ANGLE,
+    ROLL_RATE,
+    ROLL_RATE_INTEGRAL,
+    ROLL_RATE_FEEDFORWARD,
+    ROLL_RATE_LIMIT,
+    PITCH_RATE,
+    PITCH_RATE_INTEGRAL,
+    LOAD_FEEDFORWARD,
+    SIDESLIP,
+    YAW_RATE,
+    YAW_FEEDFORWARD,
+    HEADING_GAIN,
+    ALTITUDE_GAIN,
+    CLIMB_GAIN,
+    CLIMB_INTEGRAL_GAIN,
+    CLIMB_LIMIT,
+    CLIMB_ACCELERATION,
+    SPEED_GAIN,
+    SPEED_INTEGRAL,
+    THRUST_TO_WEIGHT,
+    THROTTLE_TRIM,
+    LOAD_FACTOR_MAX,
+    LOAD_FACTOR_MIN,
+    ALPHA_MAX,
+) = range(25)
+GAINS = 25
+
+
+@njit(cache=True)
+def clip(value, low, high):
+    """Value held between two limits."""
+    return min(high, max(low, value))
+
+
+@njit(cache=True)
+def step(measured, target, gain, memory, command, dt):
+    """One tick of ``dt`` seconds: fills ``command`` from the targets and advances ``memory``."""
+    v = max(measured[AIRSPEED], 1.0)
+    # the moment of a surface grows with the dynamic pressure, and damping too: gain falls with the square of speed
+    schedule = clip((gain[SPEED_NOMINAL] / v) ** 2, 0.3, 3.0)
+    command[AILERON] = _roll(measured, target, gain, memory, schedule, v, dt)
+    command[ELEVATOR] = _pitch(measured, target, gain, memory, schedule, v, dt)
+    command[RUDDER] = _yaw(measured, target, gain, schedule, v)
+    command[THROTTLE] = _throttle(measured, target, gain, memory, v, dt)
+
+
+@njit(cache=True)
+def _roll(m, target, gain, memory, schedule, v, dt):
+    bank = target[BANK]
+    if target[LATERAL_MODE] == HOLD_HEADING:
+        rate = gain[HEADING_GAIN] * wrap(target[HEADING] - m[YAW])
+        bank = clip(np.arctan(rate * v / G0), -target[BANK_LIMIT], target[BANK_LIMIT])
+    limit = gain[ROLL_RATE_LIMIT]
+    rate_command = clip(gain[ROLL_ANGLE] * (bank - m[ROLL]), -limit, limit)
+    error = rate_command - m[P]
+    # roll damping grows with speed, aileron power with its square
+    feedforward = gain[ROLL_RATE_FEEDFORWARD] * rate_command * gain[SPEED_NOMINAL] / v
+    aileron = feedforward + schedule * (gain[ROLL_RATE] * error + memory[ROLL_INTEGRAL]) + target[AILERON_OFFSET]
+    if abs(aileron) < 1.0 or aileron * error < 0.0:
+        memory[ROLL_INTEGRAL] = clip(memory[ROLL_INTEGRAL] + gain[ROLL_RATE_INTEGRAL] * error * dt, -0.5, 0.5)
+    return clip(aileron, -1.0, 1.0)
+
+
+@njit(cache=True)
+def _pitch(m, target, gain, memory, schedule, v, dt):
+    wanted = target[CLIMB]
+    if target[VERTICAL_MODE] == HOLD_ALTITUDE:
+        wanted = clip(gain[ALTITUDE_GAIN] * (target[ALTITUDE] - m[HEIGHT]), -gain[CLIMB_LIMIT], gain[CLIMB_LIMIT])
+    ramp = gain[CLIMB_ACCELERATION] * dt
+    memory[CLIMB_REFERENCE] += clip(wanted - memory[CLIMB_REFERENCE], -ramp, ramp)
+    climb_error = memory[CLIMB_REFERENCE] - m[CLIMB_RATE]
+    upward = gain[CLIMB_GAIN] * climb_error + memory[CLIMB_INTEGRAL]
+    up_share = np.cos(m[PITCH]) * np.cos(m[ROLL])
+    load = (1.0 + upward / G0) / max(up_share, 0.12)
+    load_clipped = clip(load, gain[LOAD_FACTOR_MIN], gain[LOAD_FACTOR_MAX])
+    if load == load_clipped:
+        step = gain[CLIMB_INTEGRAL_GAIN] * clip(climb_error, -2.0, 2.0) * dt
+        memory[CLIMB_INTEGRAL] = clip(memory[CLIMB_INTEGRAL] + step, -4.0, 4.0)
+    rate_command = G0 / v * (load_clipped - up_share)
+    rate_command = min(rate_command, 3.0 * (gain[ALPHA_MAX] - m[ALPHA]))
+    error = rate_command - m[Q]
+    steady = gain[LOAD_FEEDFORWARD] * (load_clipped - 1.0)
+    pull = schedule * (steady + gain[PITCH_RATE] * error + memory[PITCH_INTEGRAL]) + target[ELEVATOR_OFFSET]
+    if abs(pull) < 1.0 or pull * error < 0.0:
+        memory[PITCH_INTEGRAL] = clip(memory[PITCH_INTEGRAL] + gain[PITCH_RATE_INTEGRAL] * error * dt, -1.5, 1.5)
+    return -clip(pull, -1.0, 1.0)
+
+
+@njit(cache=True)
+def _yaw(m, target, gain, schedule, v):
+    coordinated = G0 / v * np.sin(m[ROLL]) * np.cos(m[PITCH])
+    yaw_right = gain[SIDESLIP] * m[BETA] + gain[YAW_RATE] * (coordinated - m[R])
+    # a yaw damper inside the aircraft's own flight control opposes the turn: what it needs is fed forward
+    against = gain[YAW_FEEDFORWARD] * coordinated
+    return -clip(schedule * yaw_right + against + target[RUDDER_OFFSET], -1.0, 1.0)
+
+
+@njit(cache=True)
+def _throttle(m, target, gain, memory, v, dt):
+    ramp = target[ACCELERATION] * dt
+    change = clip(target[SPEED] - memory[SPEED_REFERENCE], -ramp, ramp)
+    memory[SPEED_REFERENCE] += change
+    error = memory[SPEED_REFERENCE] - v
+    # thrust minus drag over weight is what climbs and accelerates
+    excess = memory[CLIMB_REFERENCE] / v + (gain[SPEED_GAIN] * error + change / dt) / G0
+    throttle = gain[THROTTLE_TRIM] + memory[THROTTLE_INTEGRAL] + excess / gain[THRUST_TO_WEIGHT]
+    if 0.0 < throttle < 1.0 or (throttle - 0.5) * error < 0.0:
+        memory[THROTTLE_INTEGRAL] = clip(memory[THROTTLE_INTEGRAL] + gain[SPEED_INTEGRAL] * error * dt, -1.0, 1.0)
+    return clip(throttle, 0.0, 1.0)

@@ -1,0 +1,58 @@
+"""The flight cache: Parquet files named by the hash of all that determines a flight.
+
+That is the configuration, the files of the aircraft, the version of JSBSim, and the version of this code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+from testbed.errors import InputError
+from testbed.flight.config import FlightConfig
+from testbed.records import Trajectory
+from testbed.resources import cache_root
+
+CODE_VERSION = 1
+"""Raise it with every change of this package that changes a flight."""
+
+
+def path_of(config: FlightConfig, folder: Path, seed: int) -> Path:
+    """Where the flight of ``config`` is, or would be, kept."""
+    digest = hashlib.sha256()
+    key = {
+        "code": CODE_VERSION,
+        "jsbsim": version("jsbsim"),
+        "config": config.model_dump(mode="json"),
+        "seed": seed if config.wind.turbulence != "none" else 0,
+    }
+    digest.update(json.dumps(key, sort_keys=True).encode())
+    for file in sorted(folder.rglob("*")):
+        if file.is_file():
+            digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
+    return cache_root() / "flights" / f"{digest.hexdigest()[:32]}.parquet"
+
+
+def load(path: Path) -> Trajectory | None:
+    """The cached flight, or None. A damaged file counts as none."""
+    try:
+        return Trajectory.load(path) if path.exists() else None
+    except InputError:
+        return None
+
+
+def store(trajectory: Trajectory, path: Path) -> None:
+    """Write beside and rename, so that no reader ever sees half a file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(suffix=".tmp", dir=path.parent)
+    os.close(handle)
+    try:
+        trajectory.save(name)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise

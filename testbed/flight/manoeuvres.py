@@ -1,0 +1,348 @@
+"""The manoeuvres: each is a generator that sets autopilot targets about ten times a second and returns when it is done.
+
+Guidance laws: Beard and McLain, *Small Unmanned Aircraft*, chapter 10 (orbit and waypoint following). Positions are
+metres north and east of the start of the flight; angles in radians, positive bank to the right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.earth import G0, metres_per_radian
+from testbed.errors import FlightError
+from testbed.flight import autopilot_kernels as ap
+from testbed.flight import config as cfg
+from testbed.flight.aircraft import Aircraft
+
+ROLL_OUT_LAG_S = 0.4
+"""How long the bank loop lags behind its ramp: heading that a turn still gains after it is told to end."""
+PATIENCE = 3.0
+"""A manoeuvre that takes this many times what it should, and a minute more, has failed."""
+
+
+@dataclass
+class Situation:
+    """What guidance sees and sets: the time, the measurements of the autopilot, the place, and the targets."""
+
+    aircraft: Aircraft
+    measured: NDArray[np.float64]
+    target: NDArray[np.float64]
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    t: float = 0.0
+    begin: float = 0.0
+    """Planned start of the manoeuvre: the planned end of the one before, not the tick at which it was noticed."""
+    north: float = 0.0
+    east: float = 0.0
+    v_north: float = 0.0
+    v_east: float = 0.0
+    end: float = field(default=0.0)
+
+    def of(self, index: int) -> float:
+        """A measurement by its kernel index."""
+        return float(self.measured[index])
+
+    @property
+    def course(self) -> float:
+        """Direction of the velocity over ground, rad."""
+        return math.atan2(self.v_east, self.v_north)
+
+    @property
+    def turn_rate(self) -> float:
+        """Rate of turn (rad/s) that the bank brings."""
+        return G0 * math.tan(self.of(ap.ROLL)) / max(self.of(ap.AIRSPEED), 1.0)
+
+
+def wrap(angle: float) -> float:
+    """Angle (rad) into [-pi, pi), in plain Python: a compiled call costs more here."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def guide(manoeuvre: cfg.Manoeuvre, s: Situation) -> Iterator[None]:
+    """Run one manoeuvre: yields once per guidance tick, returns when it is done, raises FlightError when it cannot."""
+    limits, target = s.aircraft.limits, s.target
+    target[ap.BANK_LIMIT] = math.radians(0.6 * limits.bank_max_deg)
+    target[ap.ACCELERATION] = limits.acceleration_mps2
+    target[[ap.AILERON_OFFSET, ap.ELEVATOR_OFFSET, ap.RUDDER_OFFSET]] = 0.0
+    if manoeuvre.speed_mps is not None:
+        target[ap.SPEED] = manoeuvre.speed_mps
+    _hold_level(s)
+    s.end = math.nan
+    yield from _GENERATORS[type(manoeuvre)](manoeuvre, s)
+    if math.isnan(s.end):
+        s.end = s.t
+    s.begin = s.end
+
+
+def _hold_level(s: Situation) -> None:
+    s.target[ap.LATERAL_MODE] = ap.HOLD_HEADING
+    s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
+
+
+def _for(s: Situation, duration_s: float) -> Iterator[None]:
+    """Wait until a duration since the planned start is over."""
+    s.end = s.begin + duration_s
+    while s.t < s.end - 1e-9:
+        yield
+
+
+def _until(s: Situation, done: Callable[[], bool], expected_s: float, goal: str) -> Iterator[None]:
+    """Wait until ``done()``; FlightError when it takes much longer than expected."""
+    latest = s.t + PATIENCE * expected_s + 60.0
+    while not done():
+        if s.t > latest:
+            raise FlightError(f"did not reach {goal} within {latest - s.begin:.0f} s")
+        yield
+
+
+def _straight(m: cfg.Straight, s: Situation) -> Iterator[None]:
+    yield from _for(s, m.duration_s)
+
+
+def _climb_while_turning(m: cfg.Climbing, s: Situation) -> None:
+    if m.climb_rate_mps is not None:
+        s.target[ap.VERTICAL_MODE] = ap.HOLD_CLIMB
+        s.target[ap.CLIMB] = m.climb_rate_mps
+
+
+def _level_off(m: cfg.Climbing, s: Situation) -> None:
+    if m.climb_rate_mps is not None:
+        s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + _height_lead(s, m.climb_rate_mps)
+    s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
+
+
+def _height_lead(s: Situation, climb_rate: float) -> float:
+    """Height still gained when the climb rate fades with the altitude loop's time constant."""
+    return climb_rate / s.aircraft.autopilot.altitude
+
+
+def _bank(s: Situation, bank: float) -> None:
+    s.target[ap.LATERAL_MODE] = ap.HOLD_BANK
+    s.target[ap.BANK] = bank
+
+
+def _roll_out_lead(s: Situation) -> float:
+    """Heading (rad) that the turn still gains while the wings come level."""
+    seconds = 0.5 * abs(s.of(ap.ROLL)) / math.radians(s.aircraft.autopilot.roll_rate_limit_dps) + ROLL_OUT_LAG_S
+    return s.turn_rate * seconds
+
+
+class _Swept:
+    """Heading swept since the start (rad), without wrapping."""
+
+    def __init__(self, s: Situation) -> None:
+        self.s, self.last, self.total = s, s.of(ap.YAW), 0.0
+
+    def __call__(self) -> float:
+        yaw = self.s.of(ap.YAW)
+        self.total += wrap(yaw - self.last)
+        self.last = yaw
+        return self.total
+
+
+def _seconds_of_turn(s: Situation, angle: float, bank: float) -> float:
+    return abs(angle) * max(s.of(ap.AIRSPEED), 1.0) / (G0 * math.tan(abs(bank)))
+
+
+def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
+    _climb_while_turning(m, s)
+    bank = math.radians(m.bank_deg)
+    _bank(s, bank)
+    if m.duration_s is not None:
+        yield from _for(s, m.duration_s)
+        s.target[ap.HEADING] = wrap(s.of(ap.YAW) + _roll_out_lead(s))
+    else:
+        side, start = math.copysign(1.0, bank), s.of(ap.YAW)
+        if m.heading_change_deg is not None:
+            change = math.radians(m.heading_change_deg)
+        else:
+            change = (side * (math.radians(m.to_heading_deg or 0.0) - start)) % (2.0 * math.pi)
+        swept = _Swept(s)
+        near = lambda: side * (swept() + _roll_out_lead(s)) >= change  # noqa: E731
+        yield from _until(s, near, _seconds_of_turn(s, change, bank), f"a heading change of {math.degrees(change):.0f}°")
+        s.target[ap.HEADING] = wrap(start + side * change)
+        _hold_level_laterally(s, bank)
+        settled = lambda: abs(wrap(s.target[ap.HEADING] - s.of(ap.YAW))) < math.radians(3) and abs(s.of(ap.ROLL)) < math.radians(8)  # noqa: E731, E501
+        yield from _until(s, settled, 20.0, f"heading {math.degrees(s.target[ap.HEADING]) % 360:.0f}°")
+    _level_off(m, s)
+
+
+def _hold_level_laterally(s: Situation, bank: float) -> None:
+    s.target[ap.LATERAL_MODE] = ap.HOLD_HEADING
+    s.target[ap.BANK_LIMIT] = abs(bank)
+
+
+def _vertical(m: cfg.Climb | cfg.Descent, s: Situation) -> Iterator[None]:
+    up = 1.0 if isinstance(m, cfg.Climb) else -1.0
+
+    def rate() -> float:
+        if m.climb_rate_mps is not None:
+            return up * m.climb_rate_mps
+        return up * s.of(ap.AIRSPEED) * math.sin(math.radians(m.path_angle_deg or 0.0))
+
+    s.target[ap.VERTICAL_MODE] = ap.HOLD_CLIMB
+    s.target[ap.CLIMB] = rate()
+    if m.duration_s is not None:
+        for _ in _for(s, m.duration_s):
+            s.target[ap.CLIMB] = rate()
+            yield
+        s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + _height_lead(s, s.of(ap.CLIMB_RATE))
+        return
+    goal = float(m.to_alt_m or 0.0)
+    if up * (goal - s.of(ap.HEIGHT)) < -5.0:
+        raise FlightError(f"to_alt_m {goal:.0f} lies on the wrong side: the height is {s.of(ap.HEIGHT):.0f} m")
+
+    def near() -> bool:
+        s.target[ap.CLIMB] = rate()
+        return up * (goal - s.of(ap.HEIGHT)) <= abs(_height_lead(s, rate()))
+
+    expected = abs(goal - s.of(ap.HEIGHT)) / abs(rate()) + 5.0 / s.aircraft.autopilot.altitude
+    yield from _until(s, near, expected, f"a height of {goal:.0f} m")
+    s.target[ap.ALTITUDE] = goal
+    s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
+    level = lambda: abs(goal - s.of(ap.HEIGHT)) < 1.0 + 0.1 * abs(_height_lead(s, rate()))  # noqa: E731
+    yield from _until(s, level, expected, f"a height of {goal:.0f} m")
+
+
+def _loiter(m: cfg.Loiter, s: Situation) -> Iterator[None]:
+    _climb_while_turning(m, s)
+    side = 1.0 if m.direction == "right" else -1.0
+    across = s.course + side * math.pi / 2.0
+    centre = (s.north + m.radius_m * math.cos(across), s.east + m.radius_m * math.sin(across))
+    bank_limit = math.radians(s.aircraft.limits.bank_max_deg)
+    swept, last = 0.0, math.nan
+
+    def circle() -> None:
+        nonlocal swept, last
+        north, east = s.north - centre[0], s.east - centre[1]
+        distance, place = math.hypot(north, east), math.atan2(east, north)
+        if not math.isnan(last):
+            swept += side * wrap(place - last)
+        last = place
+        speed = math.hypot(s.v_north, s.v_east)
+        wanted = place + side * (math.pi / 2.0 + math.atan(2.0 * (distance - m.radius_m) / m.radius_m))
+        feed = side * speed * speed / (G0 * max(distance, 0.7 * m.radius_m))
+        correction = s.aircraft.autopilot.heading * wrap(wanted - s.course) * speed / G0
+        _bank(s, min(bank_limit, max(-bank_limit, math.atan(feed + correction))))
+
+    def turned() -> bool:
+        circle()
+        return swept >= 2.0 * math.pi * (m.turns or 0.0)
+
+    if m.duration_s is not None:
+        for _ in _for(s, m.duration_s):
+            circle()
+            yield
+    else:
+        seconds = 2.0 * math.pi * m.radius_m * (m.turns or 0.0) / max(s.of(ap.AIRSPEED), 1.0)
+        yield from _until(s, turned, seconds, f"{m.turns:g} turns of the loiter")
+    s.target[ap.HEADING] = wrap(s.of(ap.YAW) + _roll_out_lead(s))
+    _level_off(m, s)
+
+
+def _s_turn(m: cfg.STurn, s: Situation) -> Iterator[None]:
+    half = 0.5 * math.radians(m.heading_change_deg)
+    yield from _alternate(m, s, first=half, later=2.0 * half, count=m.legs)
+    # the heading target is still the one from before
+
+
+def _figure_eight(m: cfg.FigureEight, s: Situation) -> Iterator[None]:
+    yield from _alternate(m, s, first=2.0 * math.pi, later=2.0 * math.pi, count=m.circles)
+
+
+def _alternate(m: cfg.STurn | cfg.FigureEight, s: Situation, first: float, later: float, count: int | None) -> Iterator[None]:
+    """Bank to one side until the heading has swept an angle, then to the other, a number of times or for a duration."""
+    _climb_while_turning(m, s)
+    bank = math.radians(m.bank_deg)
+    seconds = _seconds_of_turn(s, later, bank) + 4.0 * abs(bank) / math.radians(s.aircraft.autopilot.roll_rate_limit_dps)
+    if m.duration_s is not None:
+        s.end = s.begin + m.duration_s
+    leg = 0
+    while count is None or leg < count:
+        _bank(s, bank if leg % 2 == 0 else -bank)
+        side, swept = math.copysign(1.0, s.target[ap.BANK]), _Swept(s)
+        angle = first if leg == 0 else later
+        done = lambda side=side, swept=swept, angle=angle: (  # noqa: E731
+            side * (swept() + _roll_out_lead(s)) >= angle or s.t >= s.end - 1e-9
+        )
+        yield from _until(s, done, seconds, f"the end of leg {leg + 1}")
+        if s.t >= s.end - 1e-9:
+            break
+        leg += 1
+    _level_off(m, s)
+
+
+def _change_speed(m: cfg.Accelerate | cfg.Decelerate, s: Situation) -> Iterator[None]:
+    up = 1.0 if isinstance(m, cfg.Accelerate) else -1.0
+    now = s.of(ap.AIRSPEED)
+    if up * (m.to_speed_mps - now) < -0.05 * now:
+        raise FlightError(f"to_speed_mps {m.to_speed_mps:g} lies on the wrong side: the speed is {now:.1f} m/s")
+    if m.acceleration_mps2 is not None:
+        s.target[ap.ACCELERATION] = m.acceleration_mps2
+    s.target[ap.SPEED] = m.to_speed_mps
+    tolerance = max(0.3, 0.01 * m.to_speed_mps)
+    done = lambda: up * (m.to_speed_mps - s.of(ap.AIRSPEED)) < tolerance  # noqa: E731
+    expected = abs(m.to_speed_mps - now) / float(s.target[ap.ACCELERATION])
+    yield from _until(s, done, expected, f"a speed of {m.to_speed_mps:g} m/s (it flies {now:.1f} m/s at the start)")
+
+
+def _doublet(m: cfg.Doublet, s: Situation) -> Iterator[None]:
+    index = {"aileron": ap.AILERON_OFFSET, "elevator": ap.ELEVATOR_OFFSET, "rudder": ap.RUDDER_OFFSET}[m.surface]
+    for _ in _for(s, m.duration_s):
+        since = s.t - s.begin
+        side = 1.0 if since < 0.5 * m.period_s else -1.0
+        s.target[index] = side * m.amplitude if since < m.period_s else 0.0
+        yield
+    s.target[index] = 0.0
+
+
+def _waypoints(m: cfg.Waypoints, s: Situation) -> Iterator[None]:
+    for number, point in enumerate(m.points, 1):
+        north, east = _local(point, s)
+        if point.alt_m is not None:
+            s.target[ap.ALTITUDE] = point.alt_m
+        closest = math.inf
+
+        def reached(north: float = north, east: float = east) -> bool:
+            nonlocal closest
+            to_north, to_east = north - s.north, east - s.east
+            distance = math.hypot(to_north, to_east)
+            closest = min(closest, distance)
+            drift = wrap(s.course - s.of(ap.YAW))
+            s.target[ap.HEADING] = wrap(math.atan2(to_east, to_north) - drift)
+            return distance <= m.radius_m
+
+        seconds = math.hypot(north - s.north, east - s.east) / max(s.of(ap.AIRSPEED), 1.0)
+        try:
+            yield from _until(s, reached, seconds, f"waypoint {number}")
+        except FlightError as error:
+            raise FlightError(f"{error}; it came within {closest:.0f} m (radius_m is {m.radius_m:g})") from None
+    s.target[ap.HEADING] = s.of(ap.YAW)
+
+
+def _local(point: cfg.Waypoint, s: Situation) -> tuple[float, float]:
+    if point.north_m is not None and point.east_m is not None:
+        return point.north_m, point.east_m
+    lat, lon, h = s.origin
+    north, east = metres_per_radian(lat, h)
+    dlat, dlon = math.radians(point.lat_deg or 0.0) - lat, wrap(math.radians(point.lon_deg or 0.0) - lon)
+    return dlat * north, dlon * east
+
+
+_GENERATORS: dict[type, Callable[..., Iterator[None]]] = {
+    cfg.Straight: _straight,
+    cfg.Turn: _turn,
+    cfg.Climb: _vertical,
+    cfg.Descent: _vertical,
+    cfg.Loiter: _loiter,
+    cfg.STurn: _s_turn,
+    cfg.FigureEight: _figure_eight,
+    cfg.Accelerate: _change_speed,
+    cfg.Decelerate: _change_speed,
+    cfg.Doublet: _doublet,
+    cfg.Waypoints: _waypoints,
+}

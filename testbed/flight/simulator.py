@@ -1,0 +1,133 @@
+"""JSBSim behind four calls: start, control, run, read. Everything that is peculiar to JSBSim's interface stays here.
+
+JSBSim (Berndt, AIAA 2004-4923) works in feet, slugs and degrees Rankine; what leaves this module is SI and radians.
+Turbulence is JSBSim's Dryden model after MIL-F-8785C.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from testbed.errors import InputError
+from testbed.flight.aircraft import Aircraft
+from testbed.flight.config import FlightConfig
+
+FOOT = 0.3048
+KILOGRAM_PER_POUND = 0.45359237
+KELVIN_PER_RANKINE = 5.0 / 9.0
+TURBULENCE_MILSPEC = 3
+TURBULENCE = {"none": (0.0, 0), "light": (25.0, 3), "moderate": (50.0, 4), "severe": (75.0, 6)}
+"""Wind at 20 ft (ft/s) and severity index of the probability of exceedance, MIL-F-8785C."""
+
+STATE = (
+    ("velocities/v-north-fps", FOOT),
+    ("velocities/v-east-fps", FOOT),
+    ("velocities/v-down-fps", FOOT),
+    ("attitude/phi-rad", 1.0),
+    ("attitude/theta-rad", 1.0),
+    ("attitude/psi-rad", 1.0),
+)
+"""What is sampled for the truth: velocity in n and Euler angles, with the factor to SI."""
+
+
+class Simulator:
+    """One JSBSim executive, loaded with an aircraft and placed at the flight's initial state."""
+
+    def __init__(self, config: FlightConfig, aircraft: Aircraft, folder: Path, dt: float, seed: int) -> None:
+        self.fdm = _load(aircraft, folder)
+        self.run: Callable[[], bool] = self.fdm.run
+        self.dt = dt
+        self._nodes = self.fdm.get_property_manager().get_node
+        self.fdm.set_dt(dt)
+        self._wind = config.wind
+        self._start(config, aircraft, seed)
+        engine = aircraft.model.engine_property
+        self.state = self._readers([name for name, _ in STATE])
+        self.air = self._readers(
+            ["fcs/left-aileron-pos-norm", "fcs/elevator-pos-norm", "fcs/rudder-pos-norm", engine]
+            + [f"atmosphere/total-wind-{axis}-fps" for axis in ("north", "east", "down")]
+            + ["atmosphere/T-R"]
+        )
+        self.motion = self._readers(
+            [
+                "velocities/p-rad_sec",
+                "velocities/q-rad_sec",
+                "velocities/r-rad_sec",
+                "velocities/vt-fps",
+                "aero/alpha-rad",
+                "aero/beta-rad",
+                "position/geod-alt-ft",
+                "velocities/h-dot-fps",
+            ]
+        )
+        self.place = self._readers(["position/lat-geod-rad", "position/long-gc-rad", "position/h-agl-ft"])
+        throttles = ["fcs/throttle-cmd-norm"] + [f"fcs/throttle-cmd-norm[{i}]" for i in range(1, aircraft.model.engines)]
+        surfaces = ["fcs/aileron-cmd-norm", "fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm"]
+        self.surfaces = [self._nodes(name).set_double_value for name in surfaces]
+        self.throttles = [self._nodes(name).set_double_value for name in throttles]
+
+    def set_wind(self, share: float) -> None:
+        """Let a share (0 to 1) of the steady wind blow."""
+        for axis in ("north", "east", "down"):
+            self.fdm[f"atmosphere/wind-{axis}-fps"] = share * getattr(self._wind, f"{axis}_mps") / FOOT
+
+    def turbulence_on(self) -> None:
+        """Start the turbulence that the flight asks for."""
+        wind, severity = TURBULENCE[self._wind.turbulence]
+        if severity:
+            self.fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = wind
+            self.fdm["atmosphere/turbulence/milspec/severity"] = severity
+            self.fdm["atmosphere/turb-type"] = TURBULENCE_MILSPEC
+
+    def _readers(self, names: list[str]) -> list[Callable[[], float]]:
+        return [self._nodes(name).get_double_value for name in names]
+
+    def _start(self, config: FlightConfig, aircraft: Aircraft, seed: int) -> None:
+        fdm, initial = self.fdm, config.initial
+        fdm["simulation/randomseed"] = seed
+        fdm["ic/lat-geod-deg"] = initial.lat_deg
+        fdm["ic/long-gc-deg"] = initial.lon_deg
+        fdm["ic/h-sl-ft"] = initial.alt_m / FOOT
+        fdm["ic/psi-true-deg"] = initial.heading_deg % 360.0
+        fdm["ic/vt-fps"] = initial.speed_mps / FOOT
+        fdm["ic/alpha-deg"] = aircraft.model.alpha_deg
+        fdm["ic/theta-deg"] = aircraft.model.alpha_deg
+        fdm.run_ic()
+        if config.payload_kg:
+            if not aircraft.model.payload_property:
+                raise InputError(f"aircraft '{config.aircraft}' takes no payload; remove payload_kg")
+            fdm[aircraft.model.payload_property] += config.payload_kg / KILOGRAM_PER_POUND
+        if not aircraft.model.external_thrust:
+            fdm["propulsion/set-running"] = -1
+            fdm["propulsion/fuel_freeze"] = 1
+        for name, value in aircraft.model.setup.items():
+            fdm[name] = value
+
+
+def _load(aircraft: Aircraft, folder: Path) -> Any:
+    # JSBSim reads the variable when an executive is made, and prints a banner otherwise
+    before = os.environ.get("JSBSIM_DEBUG")
+    os.environ["JSBSIM_DEBUG"] = "0"
+    try:
+        import jsbsim
+
+        fdm = jsbsim.FGFDMExec(None)
+    finally:
+        if before is None:
+            del os.environ["JSBSIM_DEBUG"]
+        else:
+            os.environ["JSBSIM_DEBUG"] = before
+    fdm.set_debug_level(0)
+    model = aircraft.model
+    if model.shipped:
+        loaded = fdm.load_model(model.jsbsim)
+    else:
+        root = str(folder.parent)
+        loaded = fdm.load_model_with_paths(model.jsbsim, root, root, root)
+    if not loaded:
+        raise InputError(f"{folder / 'aircraft.toml'}: JSBSim has no model '{model.jsbsim}'")
+    fdm.disable_output()
+    return fdm

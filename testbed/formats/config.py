@@ -1,0 +1,81 @@
+"""The scenario's ``[recording]`` table: which files hold recorded data, and what the files do not say.
+
+Pydantic models (strict, unknown keys refused); angles in degrees, everything else SI, as the keys say.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from testbed.errors import nearest
+from testbed.schema import Table
+
+PARTS = {
+    "navego": ("imu", "gnss", "ref", "mag", "baro"),
+    "table": ("imu", "gnss", "mag", "baro", "reference"),
+    "ulog": ("log",),
+}
+"""Format -> names that ``files`` may use."""
+
+
+class AlignmentConfig(Table):
+    """``[recording.initial]``: where the initial state comes from when the files state none (NaveGo's state attitude)."""
+
+    start: Literal["gnss", "reference"] = "gnss"
+    """Position and velocity."""
+    attitude: Literal["level", "reference"] = "level"
+    """Roll and pitch by levelling, or all three angles from the reference."""
+    heading: Literal["auto", "course", "mag", "none"] = "auto"
+    """With levelling: course over ground above 5 m/s, else magnetometer, else unknown."""
+    level_s: float = Field(2.0, gt=0.0, le=600.0)
+    """Averaging time of the accelerometer."""
+    crab_deg: float = Field(10.0, ge=0.0, le=180.0)
+    """1 sigma between course and heading."""
+    declination_deg: float | None = Field(None, ge=-180.0, le=180.0)
+    """Of the magnetic field, east; default: the magnetometer's specification."""
+    roll_deg: float | None = Field(None, ge=-180.0, le=180.0)
+    pitch_deg: float | None = Field(None, ge=-90.0, le=90.0)
+    yaw_deg: float | None = Field(None, ge=-360.0, le=360.0)
+    roll_pitch_std_deg: float | None = Field(None, gt=0.0, le=180.0)
+    yaw_std_deg: float | None = Field(None, gt=0.0, le=180.0)
+
+
+class RecordingConfig(Table):
+    """``[recording]``. Relative paths start at the scenario's folder."""
+
+    format: Literal["navego", "table", "ulog"]
+    dir: str = "."
+    files: dict[str, str] = {}
+    """Part -> file in ``dir``; default names where a part is absent."""
+    columns: dict[str, str | dict[str, str]] = {}
+    """table: the file's column -> documented column with unit (a leading minus turns the sign); a sub-table is for one part."""
+    mapping: str | None = None
+    """table: TOML file with such a ``[columns]`` table."""
+    sampling: Literal["interval", "instant"] = "interval"
+    """Whether an IMU sample is a mean over the interval before it or a point value (not for ulog)."""
+    allow_truncated: bool = False
+    """ulog: use what is there of a log that was cut off."""
+    start_s: float | None = None
+    end_s: float | None = None
+    """Use only this part of the recording."""
+    initial: AlignmentConfig = AlignmentConfig()
+    imu: dict[str, Any] = {}
+    gnss: dict[str, Any] = {}
+    mag: dict[str, Any] = {}
+    baro: dict[str, Any] = {}
+    """Specification instead of what the files state: ``model`` of the catalogue, single figures of it, ``file``."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> RecordingConfig:
+        for part in self.files:
+            if part not in PARTS[self.format]:
+                raise ValueError(f"files: '{part}' is no part of a {self.format} recording; {nearest(part, PARTS[self.format])}")
+        if self.format != "table" and (self.columns or self.mapping):
+            raise ValueError(f"columns and mapping are for the format 'table', not '{self.format}'")
+        if self.format == "navego" and self.start_s is not None:
+            raise ValueError("start_s is not for the format 'navego', whose initial attitude holds at its first sample")
+        if self.start_s is not None and self.end_s is not None and self.end_s <= self.start_s:
+            raise ValueError(f"end_s = {self.end_s:g} does not lie after start_s = {self.start_s:g}")
+        return self

@@ -1,0 +1,252 @@
+"""Recorded data as tables: a folder of CSV or Parquet files, with the unit of each column at the end of its name.
+
+Files ``imu``, ``gnss``, ``mag``, ``baro``, ``reference`` (.csv or .parquet); only ``imu`` is required. Columns, in any
+order and any unit that `testbed.formats.column_units` lists (further columns are ignored):
+
+- imu: ``time_s, gyro_x_radps, gyro_y.., gyro_z.., accel_x_mps2, accel_y.., accel_z..`` in b (forward-right-down)
+- gnss: ``time_s, lat_deg, lon_deg, alt_m, v_north_mps, v_east_mps, v_down_mps`` of the antenna, and as an option the
+  receiver's 1 sigma ``std_north_m, std_east_m, std_down_m, std_v_north_mps, std_v_east_mps, std_v_down_mps``
+- mag: ``time_s, mag_x_ut, mag_y.., mag_z..``; baro: ``time_s, pressure_pa``
+- reference: ``time_s``, place and velocity as in gnss, and ``roll_deg, pitch_deg, yaw_deg`` or ``q_nb_0 .. q_nb_3``
+
+Files with other names are read with a mapping, ``"wx" = "gyro_x_dps"`` (a leading minus turns the sign). Times that
+count from an epoch (above 10⁷ s) are counted from the first whole second of the IMU. ``log.json``, which `save_log`
+writes, holds the specifications and the initial state; without it they come from the scenario and from alignment.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from testbed import specs
+from testbed.errors import InputError, nearest
+from testbed.formats import column_units
+from testbed.formats.recording import check_finite, check_place, check_time, existing
+from testbed.records import Array, SensorLog, Trajectory
+from testbed.rotations import eulers_to_quats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_XYZ, _NED = "xyz", ("north", "east", "down")
+_PLACE = {"lat": "angle", "lon": "angle", "alt": "length"} | {f"v_{a}": "speed" for a in _NED}
+_EULER = {name: "angle" for name in ("roll", "pitch", "yaw")}
+_QUATERNION = {f"q_nb_{i}": "number" for i in range(4)}
+_STD = {f"std_{a}": "length" for a in _NED} | {f"std_v_{a}": "speed" for a in _NED}
+
+REQUIRED: dict[str, dict[str, str]] = {
+    "imu": {"time": "time"} | {f"gyro_{a}": "angular rate" for a in _XYZ} | {f"accel_{a}": "acceleration" for a in _XYZ},
+    "gnss": {"time": "time"} | _PLACE,
+    "mag": {"time": "time"} | {f"mag_{a}": "magnetic field" for a in _XYZ},
+    "baro": {"time": "time", "pressure": "pressure"},
+    "reference": {"time": "time"} | _PLACE,
+}
+"""Part -> stem of each column -> quantity."""
+OPTIONAL: dict[str, dict[str, str]] = {"gnss": _STD, "reference": _EULER | _QUATERNION}
+STORED = "log.json"
+EPOCH = 1e7
+
+
+class Tables:
+    """The tables of a folder, columns in the bench's units by their stems (``time``, ``gyro_x``, ``lat`` ...)."""
+
+    def __init__(self, folder: Path, files: Mapping[str, str], columns: Mapping[str, str | dict[str, str]]) -> None:
+        if not folder.is_dir():
+            raise InputError(f"{folder}: no such folder")
+        _check_mapping(columns, folder)
+        self.folder = folder
+        self.parts: dict[str, dict[str, Array]] = {}
+        base: int | None = None
+        for part, path in _find(folder, files).items():
+            self.parts[part], base = _read_part(path, part, _mapping_of(part, columns), base)
+
+    def block(self, part: str, stems: tuple[str, ...] | list[str]) -> Array:
+        """(N,k) of the named columns."""
+        return np.column_stack([self.parts[part][stem] for stem in stems])
+
+    def quaternions(self) -> Array:
+        """q_nb (N,4) of the reference, from its quaternion or its Euler angles."""
+        table = self.parts["reference"]
+        if all(name in table for name in _QUATERNION):
+            q = self.block("reference", list(_QUATERNION))
+            norm = np.linalg.norm(q, axis=1, keepdims=True)
+            if (np.abs(norm - 1.0) > 1e-2).any():
+                raise InputError(f"{self.folder}: reference: q_nb at sample {int(np.argmax(np.abs(norm - 1)))} is no unit quaternion")
+            return np.where(np.abs(norm - 1.0) < 1e-12, q, q / norm)
+        if all(name in table for name in _EULER):
+            return eulers_to_quats(self.block("reference", list(_EULER)))
+        raise InputError(f"{self.folder}: reference needs roll_deg, pitch_deg, yaw_deg or q_nb_0 .. q_nb_3")
+
+    def stored(self) -> dict[str, Any]:
+        """Content of log.json, or an empty table."""
+        path = self.folder / STORED
+        if not path.is_file():
+            return {}
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: cannot be read ({error})") from None
+        if not isinstance(content, dict):
+            raise InputError(f"{path}: holds no table")
+        return content
+
+
+def read_mapping(path: Path) -> dict[str, str | dict[str, str]]:
+    """The ``[columns]`` table of a mapping file."""
+    from testbed.schema import read_toml
+
+    content = read_toml(path)
+    columns = content.get("columns")
+    if not isinstance(columns, dict) or set(content) != {"columns"}:
+        raise InputError(f"{path}: a mapping file has one table [columns] with lines such as \"wx\" = \"gyro_x_dps\"")
+    return columns
+
+
+def save_log(log: SensorLog, folder: str | Path, kind: str = "csv", reference: Trajectory | None = None) -> None:
+    """Write the tables (``kind`` csv or parquet) and log.json; numbers with all their digits."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    frames = log.frames()
+    if log.gnss is not None and log.gnss.std is not None:
+        columns = [f"std_{a}_m" for a in _NED] + [f"std_v_{a}_mps" for a in _NED]
+        frames["gnss"] = frames["gnss"].rename(columns={f"std_{i}": name for i, name in enumerate(columns)})
+    if reference is not None:
+        quaternion = {f"q_nb_{i}": reference.q_nb[:, i] for i in range(4)}
+        frames["reference"] = reference.to_frame().assign(**quaternion)
+    for name, frame in frames.items():
+        write_frame(frame, folder / f"{name}.{kind}")
+    stored: dict[str, Any] = {"name": log.name}
+    for part in ("imu", "gnss", "mag", "baro"):
+        if (samples := getattr(log, part)) is not None:
+            stored[part] = specs.to_dict(samples.spec)
+    if log.gnss is not None:
+        stored["outages"] = [list(o) for o in log.gnss.outages]
+    stored["initial"] = {k: v.tolist() if isinstance(v, np.ndarray) else float(v) for k, v in vars(log.initial).items()}
+    (folder / STORED).write_text(json.dumps(stored, indent=1), encoding="utf-8")
+
+
+def write_frame(frame: pd.DataFrame, path: Path) -> None:
+    """One table as CSV (shortest digits that read back exactly) or Parquet, by the file's ending."""
+    if path.suffix == ".parquet":
+        frame.to_parquet(path, index=False)
+    else:
+        frame.to_csv(path, index=False, lineterminator="\n")
+
+
+def _find(folder: Path, files: Mapping[str, str]) -> dict[str, Path]:
+    for key in files:
+        if key not in REQUIRED:
+            raise InputError(f"files: '{key}' is no part of a table recording; {nearest(key, REQUIRED)}")
+    found: dict[str, Path] = {}
+    for part in REQUIRED:
+        if part in files:
+            found[part] = existing(folder / files[part], part)
+            continue
+        present = [p for p in (folder / f"{part}.csv", folder / f"{part}.parquet") if p.is_file()]
+        if len(present) > 1:
+            raise InputError(f"{folder}: both {present[0].name} and {present[1].name} are there; name one under files")
+        if present:
+            found[part] = present[0]
+    if "imu" not in found:
+        existing(folder / "imu.csv", "imu")
+    return found
+
+
+def _check_mapping(columns: Mapping[str, str | dict[str, str]], folder: Path) -> None:
+    stems = {stem for part in (REQUIRED, OPTIONAL) for table in part.values() for stem in table}
+    for source, target in columns.items():
+        if isinstance(target, dict):
+            if source not in REQUIRED:
+                raise InputError(f"{folder}: columns.{source} is no part of a table recording; {nearest(source, REQUIRED)}")
+            _check_mapping(target, folder)
+        elif not isinstance(target, str) or _stem(target.lstrip("-"), stems) is None:
+            known = {f"{stem}_{unit}" for part in REQUIRED.values() for stem, q in part.items() for unit in column_units.UNITS[q]}
+            raise InputError(f"{folder}: columns: \"{source}\" = \"{target}\" is no documented column; {nearest(str(target), known)}")
+
+
+def _mapping_of(part: str, columns: Mapping[str, str | dict[str, str]]) -> dict[str, str]:
+    out = {source: target for source, target in columns.items() if isinstance(target, str)}
+    own = columns.get(part, {})
+    return out | (own if isinstance(own, dict) else {})
+
+
+def _stem(column: str, stems: set[str] | dict[str, str]) -> str | None:
+    if column in stems:
+        return column
+    stem = column.rpartition("_")[0]
+    return stem if stem in stems else None
+
+
+def _read_part(path: Path, part: str, mapping: dict[str, str], base: int | None) -> tuple[dict[str, Array], int]:
+    """Columns of one file in the bench's units, by stem; and the whole second that times are counted from."""
+    frame = _read_frame(path)
+    wanted = REQUIRED[part] | OPTIONAL.get(part, {})
+    out: dict[str, Array] = {}
+    for name in frame.columns:
+        target = mapping.get(str(name), str(name))
+        sign = -1.0 if target.startswith("-") else 1.0
+        stem = _stem(target.lstrip("-"), wanted)
+        if stem is None:
+            continue
+        place = f"{path}: column '{name}'"
+        if stem in out:
+            raise InputError(f"{place}: a second column for {stem}")
+        try:
+            _, factor = column_units.split(target.lstrip("-"), wanted[stem])
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        values = _numbers(frame[name], place)
+        if stem == "time":
+            out[stem], base = _time(values, factor, base, place)
+        else:
+            out[stem] = check_finite(values.astype(np.float64) * (sign * factor) if sign * factor != 1.0 else values, place)
+    missing = [stem for stem in REQUIRED[part] if stem not in out]
+    if missing:
+        unit = next(iter(column_units.UNITS[REQUIRED[part][missing[0]]]))
+        example = f"{missing[0]}_{unit}"
+        raise InputError(f"{path}: no column for {', '.join(missing)} (such as {example}); {nearest(example, map(str, frame.columns))}")
+    if "lat" in out:
+        check_place(out["lat"], out["lon"], str(path))
+    return out, base or 0
+
+
+def _read_frame(path: Path) -> pd.DataFrame:
+    import pandas as pd
+
+    try:
+        if path.suffix == ".parquet":
+            return pd.read_parquet(path)
+        return pd.read_csv(path, float_precision="round_trip", skipinitialspace=True)
+    except (OSError, ValueError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        raise InputError(f"{path}: not a readable table ({str(error).splitlines()[0]})") from None
+
+
+def _numbers(column: pd.Series, place: str) -> Array:
+    import pandas as pd
+
+    if not pd.api.types.is_numeric_dtype(column) or pd.api.types.is_bool_dtype(column):
+        numbers = pd.to_numeric(column, errors="coerce")
+        bad = numbers.isna() & column.notna()
+        if bad.any():
+            k = int(np.argmax(bad.to_numpy()))
+            raise InputError(f"{place}: sample {k} is '{column.iloc[k]}', expected a number")
+        column = numbers
+    return column.to_numpy()
+
+
+def _time(values: Array, factor: float, base: int | None, place: str) -> tuple[Array, int]:
+    """Seconds from ``base``, which the first file sets; whole numbers of ticks are subtracted before scaling."""
+    check_finite(values, place)
+    if not len(values):
+        return values.astype(np.float64), base or 0
+    if base is None:
+        first = float(values[0]) * factor
+        base = int(first) if first > EPOCH else 0
+    ticks = round(base / factor)
+    counted = values - (ticks if values.dtype.kind in "iu" else float(ticks))
+    return check_time(counted.astype(np.float64) * factor if factor != 1.0 else counted.astype(np.float64), place), base

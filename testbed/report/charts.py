@@ -1,0 +1,356 @@
+"""Interactive plots as plotly.js figures (plain dictionaries): functions on data frames, and `charts` that gathers them.
+
+A trace carries ``meta``: ``estimator`` (what the page's switches hide), ``colour`` (index into `labels.COLOURS`, −1 for ink;
+the page turns it into a colour for light or dark), ``band`` (drawn only for the estimator whose band is asked for).
+Metres from the start, m/s, degrees, seconds. Traces are thinned; four significant figures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from testbed.report import geometry
+from testbed.report.headline import Headline
+from testbed.report.labels import DASHES, GROUPS, quantity_label, unit
+from testbed.report.results import Result
+
+Figure = dict[str, Any]
+Spans = Sequence[tuple[float, float]]
+Phases = Sequence[tuple[str, float, float]]
+POINTS = 900
+INK = -1
+
+
+def ground_track(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], colours: Mapping[str, int], outages: Spans) -> Figure:
+    """North over east from the start, equal axes."""
+    truth = thin(truth)
+    east, north, _ = geometry.local(truth, truth)
+    traces = []
+    for k, (a, b) in enumerate(outages):
+        inside = truth["time_s"].between(a, b).to_numpy()
+        meta = {"colour": "outage", "shown": k == 0}
+        look = {"width": 11}
+        traces.append(_line(east[inside], north[inside], "no GNSS", meta, line=look, hoverinfo="skip"))
+    for label, frame in estimates.items():
+        e, n, _ = geometry.local(thin(frame), truth)
+        traces.append(_line(e, n, label, _meta(label, colours), line={"dash": _dash(colours[label]), "width": 1.6}))
+    where = np.column_stack([truth["lat_deg"], truth["lon_deg"], truth["alt_m"], truth["time_s"]]).round(6).tolist()
+    hover = "%{customdata[0]:.5f}°, %{customdata[1]:.5f}°<br>%{customdata[2]:.0f} m, %{customdata[3]:.1f} s<extra>truth</extra>"
+    traces.append(_line(east, north, "truth", {"colour": INK}, line={"width": 1.4}, customdata=where, hovertemplate=hover))
+    start = {"size": 9, "symbol": "circle"}
+    traces.append(_line(east[:1], north[:1], "start", {"colour": INK}, mode="markers", marker=start, hoverinfo="skip"))
+    (x0, x1), (y0, y1) = geometry.map_limits(east, north)
+    layout = {"height": 520, "dragmode": "pan", "showlegend": True}
+    layout |= {"xaxis": {"title": {"text": "East, m"}, "range": [x0, x1], "constrain": "domain"}}
+    layout |= {"yaxis": {"title": {"text": "North, m"}, "range": [y0, y1], "scaleanchor": "x", "constrain": "domain"}}
+    return {"data": traces, "layout": layout}
+
+
+def path_3d(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], colours: Mapping[str, int], outages: Spans) -> Figure:
+    """The flight in space, to be turned by hand; height is stretched where the flight is flat."""
+    truth = thin(truth, 500)
+    east, north, up = geometry.local(truth, truth)
+    (x0, x1), (y0, y1) = geometry.map_limits(east, north)
+    z0, z1 = geometry.height_limits(up)
+    traces = []
+    for label, frame in estimates.items():
+        e, n, u = geometry.local(thin(frame, 500), truth)
+        e = np.where((e < x0) | (e > x1) | (n < y0) | (n > y1) | (u < z0) | (u > z1), np.nan, e)
+        traces.append(_space(e, n, u, label, _meta(label, colours), 3))
+    for k, (a, b) in enumerate(outages):
+        inside = truth["time_s"].between(a, b).to_numpy()
+        meta = {"colour": "outage", "shown": k == 0}
+        traces.append(_space(east[inside], north[inside], up[inside], "no GNSS", meta, 10))
+    traces.append(_space(east, north, up, "truth", {"colour": INK}, 4))
+    span = max(x1 - x0, y1 - y0)
+    shape = {"x": (x1 - x0) / span, "y": (y1 - y0) / span, "z": max(0.3, (z1 - z0) / span)}
+    scene = {"aspectmode": "manual", "aspectratio": shape, "camera": {"eye": {"x": -1.0, "y": -1.15, "z": 0.75}}}
+    scene |= {"xaxis": {"title": {"text": "East, m"}, "range": [x0, x1]}, "yaxis": {"title": {"text": "North, m"}, "range": [y0, y1]}}
+    scene |= {"zaxis": {"title": {"text": "Height, m"}, "range": [z0, z1]}}
+    return {"data": traces, "layout": {"height": 520, "scene": scene, "showlegend": True, "margin": {"l": 0, "r": 0, "t": 10, "b": 0}}}
+
+
+def error_traces(
+    errors: Mapping[str, pd.DataFrame], quantities: Sequence[str], colours: Mapping[str, int], outages: Spans, phases: Phases
+) -> Figure:
+    """Error over time, one panel per quantity, with every estimator's three-sigma band (the page shows one at a time)."""
+    traces = []
+    for label, frame in errors.items():
+        lines, coarse = thin(frame), thin(frame, 300)
+        for row, quantity in enumerate(quantities):
+            axis = _axis(row)
+            if f"sigma_{quantity}" in frame and coarse[f"sigma_{quantity}"].notna().any():
+                s = 3.0 * coarse[f"sigma_{quantity}"].to_numpy()
+                traces += _band(coarse["time_s"], -s, s, f"±3σ {label}", _meta(label, colours, band=label), axis)
+            dash = {"dash": _dash(colours[label]), "width": 1.3}
+            traces.append(_line(lines["time_s"], lines[quantity], label, _meta(label, colours), axis, line=dash))
+    return {"data": traces, "layout": _stacked(quantities, outages, phases, _ranges(errors, quantities))}
+
+
+def envelopes(
+    table: pd.DataFrame, quantities: Sequence[str], colours: Mapping[str, int], outages: Spans, phases: Phases
+) -> Figure:
+    """Over the runs: RMS error (line), the filter's own mean sigma (dots), 5 to 95 % of the errors (band)."""
+    traces = []
+    for label, by_label in table.groupby("estimator", sort=False):
+        for row, quantity in enumerate(quantities):
+            group, axis = thin(by_label[by_label["quantity"] == quantity], 300), _axis(row)
+            if group.empty:
+                continue
+            t, meta = group["time_s"], _meta(str(label), colours)
+            traces += _band(t, group["p05"], group["p95"], f"5 to 95 % {label}", meta | {"band": label}, axis)
+            traces.append(_line(t, group["rms"], f"{label}, RMS", meta, axis, line={"width": 1.6}))
+            traces.append(_line(t, group["sigma"], f"{label}, σ", meta, axis, line={"width": 1.3, "dash": "dot"}))
+    return {"data": traces, "layout": _stacked(quantities, outages, phases, [None] * len(quantities))}
+
+
+def spread(per_run: pd.DataFrame, metric: str, estimators: Sequence[str], colours: Mapping[str, int]) -> Figure:
+    """Box plot over the runs (quartiles, median, whiskers at 5 and 95 %) with every run as a point."""
+    traces, ticks = [], []
+    shake = np.random.default_rng(0)
+    everything = per_run.loc[per_run["metric"] == metric, "value"].dropna()
+    for k, label in enumerate(estimators):
+        chosen = per_run[(per_run["metric"] == metric) & (per_run["estimator"] == label)].dropna(subset=["value"])
+        values = chosen["value"].to_numpy()
+        ticks.append(label)
+        if not len(values):
+            continue
+        y, meta = len(estimators) - 1 - k, _meta(label, colours)
+        p5, q1, median, q3, p95 = np.percentile(values, [5, 25, 50, 75, 95])
+        hover = f"{label}<br>median {median:.3g}, quartiles {q1:.3g} to {q3:.3g}<br>5 to 95 %: {p5:.3g} to {p95:.3g}<extra></extra>"
+        corners = ([q1, q3, q3, q1, q1], [y - 0.3, y - 0.3, y + 0.3, y + 0.3, y - 0.3])
+        box = {"fill": "toself", "hovertemplate": hover, "line": {"width": 1.3}}
+        traces.append(_line(*corners, label, meta | {"fill": 0.28}, **box))
+        traces.append(_line([median] * 2, [y - 0.3, y + 0.3], label, meta, line={"width": 3}, hovertemplate=hover))
+        for end, edge in ((p5, q1), (p95, q3)):
+            traces.append(_line([edge, end], [y, y], label, meta, line={"width": 1.3}, hoverinfo="skip"))
+        shown = chosen.head(400)
+        height = y + shake.uniform(-0.18, 0.18, len(shown))
+        dots = {"mode": "markers", "marker": {"size": 4, "opacity": 0.55}, "customdata": shown["run"].tolist()}
+        traces.append(_line(shown["value"], height, label, meta, hovertemplate="run %{customdata}: %{x:.4g}<extra></extra>", **dots))
+    logarithmic = len(everything) > 0 and everything.min() > 0 and everything.max() > 30 * everything.min()
+    x = {"title": {"text": f"{_metric(metric)}, {unit(metric)}"}, "type": "log" if logarithmic else "linear"}
+    return {"data": traces, "layout": _categories(ticks, x)}
+
+
+def consistency(table: pd.DataFrame, estimators: Sequence[str], colours: Mapping[str, int]) -> Figure:
+    """Mean NEES and NIS divided by the expected value, over the 95 % chi-square bounds."""
+    quantities = list(dict.fromkeys(table["quantity"]))
+    traces: list[Figure] = []
+    step = 0.7 / max(1, len(estimators))
+    for row, quantity in enumerate(quantities):
+        group = table[table["quantity"] == quantity].set_index("estimator")
+        y, dof = len(quantities) - 1 - row, float(group["dof"].iloc[0])
+        low, high = group["lower"].iloc[0] / dof, group["upper"].iloc[0] / dof
+        corners = ([low, high, high, low, low], [y - 0.42, y - 0.42, y + 0.42, y + 0.42, y - 0.42])
+        traces.append(_line(*corners, "95 % bounds", {"colour": "outage"}, fill="toself", line={"width": 0}, hoverinfo="skip"))
+        for k, label in enumerate(estimators):
+            if label not in group.index:
+                continue
+            value = float(group.loc[label, "mean"])
+            height = y - (k - (len(estimators) - 1) / 2) * step
+            hover = f"{label}: {quantity_label(quantity)} {value:.3g}, expected {dof:.3g}<extra></extra>"
+            point = {"mode": "markers", "marker": {"size": 9, "symbol": k % 8}, "hovertemplate": hover}
+            traces.append(_line([value / dof], [height], label, _meta(label, colours), **point))
+    x = {"title": {"text": "mean divided by its expected value (1 = consistent)"}, "type": "log"}
+    layout = _categories([quantity_label(q) for q in quantities], x, 46 + 9 * len(estimators))
+    line = {"type": "line", "x0": 1, "x1": 1, "y0": 0, "y1": 1, "yref": "paper", "line": {"width": 1}}
+    return {"data": traces, "layout": layout | {"shapes": [line]}}
+
+
+def timings(table: pd.DataFrame, estimators: Sequence[str], colours: Mapping[str, int]) -> Figure:
+    """Time per IMU sample, one bar each."""
+    traces = []
+    rows = table.set_index("estimator")["median_us"]
+    for k, label in enumerate(estimators):
+        if label in rows.index:
+            y, value = len(estimators) - 1 - k, float(rows[label])
+            hover = f"{label}: {value:.3g} µs per sample<extra></extra>"
+            bar = {"line": {"width": 14}, "hovertemplate": hover}
+            traces.append(_line([0, value], [y, y], label, _meta(label, colours), **bar))
+    x = {"title": {"text": "time per IMU sample, µs"}, "rangemode": "tozero"}
+    return {"data": traces, "layout": _categories(list(estimators), x, 34)}
+
+
+def innovations(frame: pd.DataFrame, label: str, colours: Mapping[str, int], names: Sequence[str], spans: Spans, phases: Phases) -> Figure:
+    """Innovations with their ±2 sqrt(S) band over time, and their histogram, one row per measurement channel."""
+    channels = [c.removeprefix("nu_") for c in frame if c.startswith("nu_")][:9]
+    frame = thin(frame, 700)
+    traces = []
+    for row, channel in enumerate(channels):
+        nu, s, meta = frame[f"nu_{channel}"].to_numpy(), frame[f"s_{channel}"].to_numpy(), {"colour": colours[label]}
+        axis = _axis(row)
+        traces += _band(frame["time_s"], -2 * s, 2 * s, "±2√S", meta, axis)
+        dots = {"mode": "markers", "marker": {"size": 3}}
+        traces.append(_line(frame["time_s"], nu, names[row], meta, axis, **dots))
+        if np.isfinite(nu).any():
+            counts, edges = np.histogram(nu[np.isfinite(nu)], bins=25)
+            side = {"xaxis": f"x{20 + row}", "yaxis": axis["yaxis"]}
+            steps = {"fill": "tozerox", "line": {"shape": "vh", "width": 1}, "hoverinfo": "skip"}
+            traces.append(_line(counts, (edges[1:] + edges[:-1]) / 2, "histogram", meta | {"fill": 0.28}, side, **steps))
+    layout = _stacked(list(names[: len(channels)]), spans, phases, [None] * len(channels), height=105)
+    layout["xaxis"]["domain"] = [0, 0.82]
+    for row in range(len(channels)):
+        layout[f"xaxis{20 + row}"] = {"domain": [0.85, 1], "anchor": _axis(row)["yaxis"], "showticklabels": False, "showgrid": False}
+    return {"data": traces, "layout": layout}
+
+
+def extras(frame: pd.DataFrame, outages: Spans, phases: Phases) -> Figure:
+    """What an estimator reports beside its state, one panel per name, one line per component."""
+    names = list(dict.fromkeys(frame["name"]))[:6]
+    traces = []
+    for row, name in enumerate(names):
+        for k, (component, group) in enumerate(frame[frame["name"] == name].groupby("component", sort=False)):
+            group, label = thin(group), str(component) if len(names) == 1 else f"{name.replace('_', ' ')} {component}"
+            look = {"dash": DASHES[k % len(DASHES)], "width": 1.5}
+            traces.append(_line(group["time_s"], group["value"], label, {"colour": k, "shown": True}, _axis(row), line=look))
+    layout = _stacked([n.replace("_", " ") for n in names], outages, phases, [None] * len(names), height=210)
+    return {"data": traces, "layout": layout | {"showlegend": True}}
+
+
+def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
+    """Every chart that the result has data for: key -> {``views``: name -> figure, ``band``: whose band is shown first}."""
+    colours = {label: k for k, label in enumerate(result.estimators)}
+    runs = {label: result.errors[label] for label in result.estimators if label in result.errors}
+    spans, phases = result.outages, result.phases
+    found: dict[str, dict[str, Any]] = {}
+    if len(result.truth) and runs:
+        found["track"] = {"views": {"": ground_track(result.truth, runs, colours, spans)}}
+        found["path"] = {"views": {"": path_3d(result.truth, runs, colours, spans)}}
+    groups = {g: q for g, q in GROUPS.items() if any(f[q].notna().any(axis=None) for f in runs.values())}
+    if groups:
+        views = {g: error_traces(runs, q, colours, spans, phases) for g, q in groups.items()}
+        found["errors"] = {"views": views, "band": lead.winner, "bands": list(runs)}
+    metrics = ["rmse_position_3d_m", "rmse_velocity_3d_mps", "rmse_attitude_deg"]
+    metrics = [lead.metric, *(m for m in metrics if m != lead.metric)]
+    per_run = result.per_run(metrics, lead.window).dropna(subset=["value"])
+    if len(per_run):
+        shown = [m for m in metrics if (per_run["metric"] == m).any()]
+        views = {_metric(m): spread(per_run, m, result.estimators, colours) for m in shown}
+        found["spread"] = {"views": views}
+    table = result.envelopes.dropna(subset=["rms"])
+    if len(table):
+        views = {g: envelopes(table, q, colours, spans, phases) for g, q in GROUPS.items() if table["quantity"].isin(q).any()}
+        found["envelopes"] = {"views": views, "band": lead.winner, "bands": list(dict.fromkeys(table["estimator"]))}
+    if len(table := result.consistency.dropna(subset=["mean"])):
+        found["consistency"] = {"views": {"": consistency(table, result.estimators, colours)}}
+    if result.innovations:
+        views = {
+            e: innovations(f, e, colours, _channel_names(result, e, f), spans, phases)
+            for e, f in result.innovations.items()
+            if len(f) and e in colours
+        }
+        found["innovations"] = {"views": views}
+    if result.extras:
+        found["extras"] = {"views": {e: extras(f, spans, phases) for e, f in result.extras.items()}}
+    if len(result.timings):
+        found["timings"] = {"views": {"": timings(result.timings, result.estimators, colours)}}
+    return found
+
+
+def thin(frame: pd.DataFrame, points: int = POINTS) -> pd.DataFrame:
+    """Every k-th row, so that at most ``points`` remain."""
+    return frame.iloc[:: max(1, -(-len(frame) // points))]
+
+
+def _channel_names(result: Result, label: str, frame: pd.DataFrame) -> list[str]:
+    """From info.json's ``innovations`` (label -> names); six channels without names are the GNSS position and velocity."""
+    count = sum(c.startswith("nu_") for c in frame)
+    given = result.info.get("innovations", {}).get(label)
+    if given and len(given) >= count:
+        return [str(name) for name in given]
+    return [f"channel {k + 1}" for k in range(count)]
+
+
+def _meta(label: str, colours: Mapping[str, int], band: str = "") -> dict[str, Any]:
+    meta: dict[str, Any] = {"estimator": label, "colour": colours.get(label, 0)}
+    return meta | {"band": band} if band else meta
+
+
+def _line(x: Any, y: Any, name: str, meta: Mapping[str, Any], axis: Mapping[str, str] | None = None, **more: Any) -> Figure:
+    return {"type": "scatter", "mode": "lines", "x": _plain(x), "y": _plain(y), "name": name, "meta": meta, **(axis or {}), **more}
+
+
+def _space(x: Any, y: Any, z: Any, name: str, meta: Mapping[str, Any], width: float) -> Figure:
+    return {"type": "scatter3d", "mode": "lines", "x": _plain(x), "y": _plain(y), "z": _plain(z)} | {
+        "name": name,
+        "meta": meta,
+        "line": {"width": width},
+        "hoverinfo": "x+y+z+name",
+    }
+
+
+def _band(t: Any, low: Any, high: Any, name: str, meta: Mapping[str, Any], axis: Mapping[str, str]) -> list[Figure]:
+    look = {"hoverinfo": "skip", "line": {"width": 0}}
+    upper = _line(t, high, name, {**meta, "fill": 0.16, "edge": True}, axis, fill="tonexty", **look)
+    return [_line(t, low, name, {**meta, "edge": True}, axis, **look), upper]
+
+
+def _stacked(names: Sequence[str], outages: Spans, phases: Phases, ranges: Sequence[Any], height: int = 170) -> Figure:
+    """Panels over one time axis; outages and phases are shaded behind them (the page colours the shapes)."""
+    count, gap = len(names), 0.035
+    tall = (1 + gap) / count
+    layout: Figure = {"height": 75 + height * count, "hovermode": "x unified" if count < 4 else "closest"}
+    layout["xaxis"] = {"title": {"text": "Time, s"}, "anchor": _axis(count - 1)["yaxis"]}
+    for row, name in enumerate(names):
+        top = 1 - row * tall
+        text = f"{quantity_label(name)}, {unit(name)}" if unit(name) else quantity_label(name)
+        y = {"domain": [max(0.0, top - tall + gap), top], "title": {"text": text, "standoff": 4}, "anchor": "x"}
+        layout["yaxis" + _axis(row)["yaxis"][1:]] = y | ({"range": ranges[row]} if ranges[row] else {})
+    whole = {"type": "rect", "yref": "paper", "y0": 0, "y1": 1, "layer": "below", "line": {"width": 0}}
+    layout["shapes"] = [whole | {"x0": a, "x1": b, "name": "phase"} for _, a, b in list(phases)[1::2]]
+    layout["shapes"] += [whole | {"x0": a, "x1": b, "name": "outage"} for a, b in outages]
+    span = phases[-1][2] - phases[0][1] if phases else 1.0
+    words = {"yref": "paper", "y": 1, "yanchor": "bottom", "showarrow": False}
+    layout["annotations"] = [
+        words | {"x": (a + b) / 2, "text": name.replace("_", " "), "hovertext": f"{name}, {a:g} to {b:g} s"}
+        for name, a, b in phases
+        if (b - a) / span > 0.012 * len(name)
+    ]
+    return layout
+
+
+def _categories(names: Sequence[str], x: Figure, row_height: int = 62) -> Figure:
+    count = len(names)
+    y = {"tickvals": list(range(count)), "ticktext": list(reversed(names)), "range": [-0.6, count - 0.4], "zeroline": False}
+    return {"height": 90 + row_height * count, "hovermode": "closest", "xaxis": x, "yaxis": y | {"automargin": True}}
+
+
+def _ranges(errors: Mapping[str, pd.DataFrame], quantities: Sequence[str]) -> list[list[float] | None]:
+    """A first view that shows the better estimators where the worst is more than 30 times larger; None: fit all."""
+    found: list[list[float] | None] = []
+    for quantity in quantities:
+        sizes = sorted(float(np.nanmax(np.abs(f[quantity]))) for f in errors.values() if f[quantity].notna().any())
+        if len(sizes) < 2 or sizes[-1] <= 30 * sizes[0]:
+            found.append(None)
+            continue
+        good = max(s for s in sizes if s <= 10 * sizes[0])
+        found.append([-2.0 * good, 2.0 * good])
+    return found
+
+
+def _metric(metric: str) -> str:
+    from testbed.report.labels import metric_label
+
+    return metric_label(metric)
+
+
+def _axis(row: int) -> dict[str, str]:
+    return {"xaxis": "x", "yaxis": f"y{row + 1}" if row else "y"}
+
+
+def _dash(index: int) -> str:
+    return DASHES[index // 8 % len(DASHES)] if index >= 8 else "solid"
+
+
+def _plain(values: Any) -> list[float | None]:
+    """Four significant figures (more where a large offset needs it); null for what is not finite."""
+    x = np.asarray(values, dtype=float)
+    finite = np.isfinite(x)
+    size = np.max(np.abs(x[finite])) if finite.any() else 1.0
+    decimals = 0 if size == 0 else int(np.clip(4 - np.floor(np.log10(size)), 0, 12))
+    return [float(v) if ok else None for v, ok in zip(np.round(x, decimals), finite, strict=True)]

@@ -1,0 +1,315 @@
+"""Figures at paper size: plain functions on data frames that return matplotlib figures, and `save_figures` that writes them.
+
+Shown: ground track, 3-D path, errors with three sigma, RMSE, Monte Carlo spread, envelopes, consistency, what a filter adds.
+Metres from the start, m/s, degrees, seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from testbed.report import geometry
+from testbed.report.headline import headline
+from testbed.report.labels import COLOURS, GROUPS, quantity_label, unit
+from testbed.report.results import Result
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH = 6.3  # inches: the text width of an A4 page
+DASHES = ["-", "--", ":", "-.", (0, (6, 1.5)), (0, (4, 1, 1, 1, 1, 1))]
+STYLE: dict[str, Any] = {
+    "font.size": 8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "grid.linewidth": 0.4,
+    "grid.color": "#dddddd",
+    "legend.frameon": False,
+    "legend.fontsize": 7,
+    "lines.linewidth": 1.0,
+    "svg.hashsalt": "testbed",
+    "svg.fonttype": "none",
+    "path.simplify_threshold": 0.5,
+}
+Spans = Sequence[tuple[float, float]]
+Phases = Sequence[tuple[str, float, float]]
+
+
+def ground_track(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], outages: Spans = ()) -> Figure:
+    """North over east from the start, equal axes; the truth without GNSS drawn broad."""
+    figure = _figure(4.2)
+    ax = figure.add_axes((0.11, 0.12, 0.86, 0.80))
+    east, north, _ = geometry.local(truth, truth)
+    for a, b in outages:
+        inside = truth["time_s"].between(a, b).to_numpy()
+        ax.plot(east[inside], north[inside], color="#bbbbbb", lw=7, solid_capstyle="butt", label="no GNSS", zorder=1)
+    for k, (label, frame) in enumerate(estimates.items()):
+        e, n, _ = geometry.local(frame, truth)
+        ax.plot(e, n, color=COLOURS[k % len(COLOURS)][0], ls=DASHES[k % len(DASHES)], label=label)
+    ax.plot(east, north, color="black", lw=0.8, label="truth")
+    ax.plot(east[:1], north[:1], "o", color="black", ms=5, label="start")
+    (x0, x1), (y0, y1) = geometry.map_limits(east, north)
+    ax.set(xlabel="East, m", ylabel="North, m", xlim=(x0, x1), ylim=(y0, y1))
+    ax.set_aspect("equal", adjustable="datalim")
+    _legend(figure, ax)
+    return figure
+
+
+def path_3d(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame]) -> Figure:
+    """The flight in space; height is stretched where the flight is flat, and the axis says so."""
+    figure = _figure(4.0)
+    ax: Any = figure.add_axes((0.0, 0.03, 0.97, 0.92), projection="3d")
+    east, north, up = geometry.local(truth, truth)
+    (x0, x1), (y0, y1) = geometry.map_limits(east, north)
+    z0, z1 = geometry.height_limits(up)
+    for k, (label, frame) in enumerate(estimates.items()):
+        e, n, u = geometry.local(frame, truth, every=4)
+        u = np.where((u < z0) | (u > z1), np.nan, u)
+        ax.plot(e, n, u, color=COLOURS[k % len(COLOURS)][0], ls=DASHES[k % len(DASHES)], label=label)
+    ax.plot(east[::4], north[::4], up[::4], color="black", lw=0.8, label="truth")
+    ax.set(xlabel="East, m", ylabel="North, m", zlabel="Height, m", xlim=(x0, x1), ylim=(y0, y1), zlim=(z0, z1))
+    span = max(x1 - x0, y1 - y0)
+    ax.set_box_aspect(((x1 - x0) / span, (y1 - y0) / span, max(0.25, (z1 - z0) / span)))
+    ax.locator_params(nbins=5)
+    _legend(figure, ax)
+    return figure
+
+
+def error_traces(
+    errors: Mapping[str, pd.DataFrame], quantities: Sequence[str], outages: Spans = (), phases: Phases = (), band: str = ""
+) -> Figure:
+    """Error over time of one flight, one panel per quantity; the three-sigma band of the estimator named ``band``."""
+    figure = _figure(1.15 * len(quantities) + 0.8)
+    axes = _panels(figure, len(quantities))
+    for k, (label, frame) in enumerate(errors.items()):
+        for ax, quantity in zip(axes, quantities, strict=True):
+            t = frame["time_s"].to_numpy()
+            if label == band and f"sigma_{quantity}" in frame:
+                s = 3.0 * frame[f"sigma_{quantity}"].to_numpy()
+                ax.fill_between(t, -s, s, color=COLOURS[k % len(COLOURS)][0], alpha=0.18, lw=0, label=f"±3σ of {label}")
+            style = {"color": COLOURS[k % len(COLOURS)][0], "ls": DASHES[k % len(DASHES)], "lw": 0.8}
+            ax.plot(t, frame[quantity].to_numpy(), label=label, **style)
+    for ax, quantity in zip(axes, quantities, strict=True):
+        ax.set_ylabel(f"{quantity_label(quantity)}, {unit(quantity)}")
+        _squeeze(ax, [frame[quantity].to_numpy() for frame in errors.values()])
+    _shade(axes, outages, phases)
+    _legend(figure, axes[0])
+    return figure
+
+
+def rmse_bars(summary: pd.DataFrame, estimators: Sequence[str], window: str) -> Figure:
+    """Mean RMSE per axis with its 95 % interval, one panel each for position, velocity and attitude."""
+    figure = _figure(2.6)
+    axes = figure.subplots(1, 3)
+    figure.subplots_adjust(left=0.07, right=0.995, bottom=0.12, top=0.84, wspace=0.24)
+    table = summary[summary["window"] == window].set_index(["metric", "estimator"])
+    width = 0.8 / max(1, len(estimators))
+    for ax, (group, quantities) in zip(axes, GROUPS.items(), strict=True):
+        tops = []
+        for k, label in enumerate(estimators):
+            rows = table.reindex([(f"rmse_{q}", label) for q in quantities])
+            mean = rows["mean"].to_numpy(dtype=float)
+            ends = [np.clip(mean - rows["ci_low"], 0, None), np.clip(rows["ci_high"] - mean, 0, None)]
+            x = np.arange(3) + (k - (len(estimators) - 1) / 2) * width
+            look: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)][0], "error_kw": {"lw": 0.7}}
+            ax.bar(x, mean, 0.92 * width, yerr=ends, label=label, **look)
+            tops.append(np.nanmax(mean) if np.isfinite(mean).any() else np.nan)
+        if np.isfinite(tops).any() and np.nanmax(tops) > 30 * np.nanmin(tops):
+            ax.set_yscale("log")
+        names = [quantity_label(q).replace(" velocity", "") for q in quantities]
+        ax.set_xticks(range(3), names)
+        ax.set_title(f"{group} RMSE, {unit(quantities[0])}", fontsize=8, loc="left")
+        ax.grid(axis="x", visible=False)
+    _legend(figure, axes[0])
+    return figure
+
+
+def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[str]) -> Figure:
+    """Box plots over the runs: median, quartiles, whiskers at 5 and 95 %, the runs outside of them."""
+    figure = _figure(0.9 + 0.26 * len(estimators))
+    axes = np.atleast_1d(figure.subplots(1, len(metrics), sharey=True))
+    bottom = 0.42 / figure.get_figheight()
+    figure.subplots_adjust(left=0.17, right=0.99, bottom=bottom, top=0.97, wspace=0.12)
+    for ax, metric in zip(axes, metrics, strict=True):
+        rows = per_run[per_run["metric"] == metric]
+        values = [rows.loc[rows["estimator"] == e, "value"].dropna().to_numpy() for e in estimators]
+        look: dict[str, Any] = {"widths": 0.6, "patch_artist": True, "flierprops": {"ms": 2.5, "marker": "."}}
+        boxes = ax.boxplot(values, orientation="horizontal", whis=(5, 95), medianprops={"color": "black"}, **look)
+        for k, box in enumerate(boxes["boxes"]):
+            box.set(facecolor=COLOURS[k % len(COLOURS)][0], alpha=0.55, lw=0.6)
+        everything = np.concatenate(values)
+        if len(everything) and everything.min() > 0 and everything.max() > 30 * everything.min():
+            ax.set_xscale("log")
+        ax.set_xlabel(f"{quantity_label(metric.removeprefix('rmse_'))} RMSE, {unit(metric)}")
+    axes[0].set_yticks(range(1, len(estimators) + 1), estimators)
+    axes[0].invert_yaxis()
+    return figure
+
+
+def envelopes(table: pd.DataFrame, quantities: Sequence[str], outages: Spans = (), phases: Phases = ()) -> Figure:
+    """RMS error over the runs (line) and the filter's own mean sigma (dotted): they meet when a filter is consistent."""
+    figure = _figure(1.15 * len(quantities) + 0.8)
+    axes = _panels(figure, len(quantities))
+    for ax, quantity in zip(axes, quantities, strict=True):
+        rows = table[table["quantity"] == quantity]
+        found = []
+        for k, (label, group) in enumerate(rows.groupby("estimator", sort=False)):
+            t, colour = group["time_s"].to_numpy(), COLOURS[k % len(COLOURS)][0]
+            found.append(group["rms"].to_numpy(dtype=float))
+            ax.plot(t, group["rms"], color=colour, label=label)
+            ax.plot(t, group["sigma"], color=colour, ls=":", lw=0.8)
+        ax.set_ylabel(f"{quantity_label(quantity)}, {unit(quantity)}")
+        _squeeze(ax, found, signed=False)
+    _shade(axes, outages, phases)
+    _legend(figure, axes[0])
+    return figure
+
+
+def consistency(table: pd.DataFrame, estimators: Sequence[str]) -> Figure:
+    """Mean NEES and NIS divided by their expected value, with the 95 % chi-square bounds."""
+    quantities = list(dict.fromkeys(table["quantity"]))
+    figure = _figure(1.0 + 0.16 * len(estimators) * len(quantities))
+    bottom = 0.42 / figure.get_figheight()
+    ax = figure.add_axes((0.17, bottom, 0.80, 0.98 - bottom - 0.24 / figure.get_figheight()))
+    step = 0.7 / max(1, len(estimators))
+    for row, quantity in enumerate(quantities):
+        group = table[table["quantity"] == quantity].set_index("estimator")
+        first = group.iloc[0]
+        low, high = first["lower"] / first["dof"], first["upper"] / first["dof"]
+        ax.fill_betweenx([row - 0.42, row + 0.42], low, high, color="#dddddd", lw=0, label="95 % bounds" if not row else None)
+        for k, label in enumerate(estimators):
+            if label in group.index:
+                y = row + (k - (len(estimators) - 1) / 2) * step
+                value = group.loc[label, "mean"] / group.loc[label, "dof"]
+                ax.plot(value, y, "o", ms=4, color=COLOURS[k % len(COLOURS)][0], label=None if row else label)
+    ax.axvline(1.0, color="black", lw=0.6)
+    ax.set_yticks(range(len(quantities)), [quantity_label(q) for q in quantities])
+    ax.set(xlabel="mean divided by its expected value (1 = consistent)", xscale="log")
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter("")
+    ax.invert_yaxis()
+    _legend(figure, ax)
+    return figure
+
+
+def extras(table: pd.DataFrame, label: str, outages: Spans = (), phases: Phases = ()) -> Figure:
+    """What an estimator reports beside its state (mode probabilities, network outputs), one panel per name."""
+    names = list(dict.fromkeys(table["name"]))[:4]
+    figure = _figure(1.3 * len(names) + 0.8)
+    axes = _panels(figure, len(names))
+    for ax, name in zip(axes, names, strict=True):
+        for k, (component, group) in enumerate(table[table["name"] == name].groupby("component", sort=False)):
+            ax.plot(group["time_s"], group["value"], color=COLOURS[k % len(COLOURS)][0], label=str(component))
+        ax.set_ylabel(name.replace("_", " "))
+    _shade(axes, outages, phases)
+    _legend(figure, axes[0], title=label)
+    return figure
+
+
+def build(result: Result) -> dict[str, tuple[Figure, str]]:
+    """Every figure that the result has data for: name -> (figure, caption)."""
+    lead = headline(result)
+    estimates = {label: result.errors[label] for label in result.estimators if label in result.errors}
+    spans, phases = result.outages, result.phases
+    drawn: dict[str, tuple[Figure, str]] = {}
+    if len(result.truth) and estimates:
+        drawn["ground_track"] = ground_track(result.truth, estimates, spans), "Ground track of run 0; broad grey: no GNSS."
+        drawn["path_3d"] = path_3d(result.truth, estimates), "Path of run 0 in space."
+    for group, quantities in GROUPS.items():
+        have = {e: f for e, f in estimates.items() if f[quantities].notna().any(axis=None)}
+        if have:
+            figure = error_traces(have, quantities, spans, phases, lead.winner)
+            drawn[f"error_{group.lower()}"] = figure, f"{group} error of run 0 with ±3σ of {lead.winner}; shaded: no GNSS."
+    if result.estimators:
+        drawn["rmse"] = rmse_bars(result.summary, result.estimators, lead.window), "Mean RMSE over the runs with 95 % intervals."
+    metrics = ["rmse_position_3d_m", "rmse_velocity_3d_mps", "rmse_attitude_deg"]
+    per_run = result.per_run(metrics, lead.window).dropna(subset=["value"])
+    if len(per_run):
+        shown = [m for m in metrics if (per_run["metric"] == m).any()]
+        drawn["monte_carlo"] = spread(per_run, result.estimators, shown), "Spread over the runs: median, quartiles, 5 and 95 %."
+    table = result.envelopes.dropna(subset=["rms"])
+    if len(table):
+        group = "Position" if table["quantity"].isin(GROUPS["Position"]).any() else "Attitude"
+        caption = f"{group} error over the runs: RMS (line) and the filters' own sigma (dotted)."
+        drawn["envelope"] = envelopes(table, GROUPS[group], spans, phases), caption
+    if len(table := result.consistency.dropna(subset=["mean"])):
+        drawn["consistency"] = consistency(table, result.estimators), "NEES and NIS relative to their expected value."
+    for label, frame in result.extras.items():
+        slug = result.info["estimators"][label]
+        drawn[f"extras_{slug}"] = extras(frame, label, spans, phases), f"Beside the state, {label}, run 0."
+    return drawn
+
+
+def save_figures(result: Result, folder: Path, svg: bool = True, dpi: int = 120) -> dict[str, str]:
+    """Write every figure as PNG (and SVG). Returns file name -> caption of the PNGs."""
+    import matplotlib
+
+    folder.mkdir(parents=True, exist_ok=True)
+    names = {}
+    with matplotlib.rc_context(STYLE):
+        for name, (figure, caption) in build(result).items():
+            figure.savefig(folder / f"{name}.png", dpi=dpi, metadata={"Software": None})
+            if svg:
+                figure.savefig(folder / f"{name}.svg", metadata={"Date": None, "Creator": None})
+            names[f"{name}.png"] = caption
+    return names
+
+
+def _figure(height: float) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, height))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _panels(figure: Figure, rows: int) -> list[Axes]:
+    height = figure.get_figheight()
+    axes = np.atleast_1d(figure.subplots(rows, 1, sharex=True))
+    figure.subplots_adjust(left=0.11, right=0.985, bottom=0.40 / height, top=1 - 0.42 / height, hspace=0.14)
+    axes[-1].set_xlabel("Time, s")
+    figure.align_ylabels(list(axes))
+    return list(axes)
+
+
+def _shade(axes: Sequence[Axes], outages: Spans, phases: Phases) -> None:
+    """Outages as grey bands; phase borders as ticks, named along the top of the first panel where there is room."""
+    for ax in axes:
+        ax.margins(x=0)
+        for a, b in outages:
+            ax.axvspan(a, b, color="#000000", alpha=0.10, lw=0)
+        for _, start, _ in phases[1:]:
+            ax.axvline(start, color="#999999", lw=0.4, ls=(0, (2, 2)))
+    span = phases[-1][2] - phases[0][1] if phases else 1.0
+    for name, start, end in phases:
+        if (end - start) / span > 0.017 * len(name):
+            where = {"ha": "center", "va": "bottom", "fontsize": 6, "color": "#666666"}
+            axes[0].text((start + end) / 2, 1.01, name.replace("_", " "), transform=axes[0].get_xaxis_transform(), **where)
+
+
+def _squeeze(ax: Axes, series: Sequence[np.ndarray], signed: bool = True) -> None:
+    """A scale that is linear near zero and logarithmic beyond, where the largest error dwarfs the smallest."""
+    sizes = [np.nanmax(np.abs(s)) for s in series if np.isfinite(s).any()]
+    if len(sizes) > 1 and max(sizes) > 30 * min(sizes) and min(sizes) > 0:
+        threshold = 10.0 ** np.ceil(np.log10(min(sizes)))
+        ax.set_yscale("symlog", linthresh=threshold)
+        top = 1.3 * max(sizes)
+        ax.set_ylim(-top if signed else 0.0, top)
+
+
+def _legend(figure: Figure, ax: Axes, title: str | None = None) -> None:
+    handles, labels = ax.get_legend_handles_labels()
+    unique = dict(zip(reversed(labels), reversed(handles), strict=True))
+    names = [name for name in dict.fromkeys(labels) if name]
+    figure.legend(
+        [unique[n] for n in names], names, loc="upper right", bbox_to_anchor=(0.99, 1.0), ncols=min(6, len(names)), title=title
+    )

@@ -1,0 +1,36 @@
+"""A flight on a local plane, for drawing: east, north and height from degrees, and axis limits that keep the flight in view.
+
+Source: radii of curvature of `testbed.earth` at the first point; good to centimetres per kilometre. Metres.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from testbed.earth import principal_radii
+
+Array = NDArray[np.float64]
+
+
+def local(frame: pd.DataFrame, origin: pd.DataFrame, every: int = 1) -> tuple[Array, Array, Array]:
+    """East and north (m) from the first row of ``origin``, and height (m), of every ``every``-th row of ``frame``."""
+    lat0, lon0, alt0 = (float(origin[c].iloc[0]) for c in ("lat_deg", "lon_deg", "alt_m"))
+    meridian, normal = principal_radii(np.radians(lat0))
+    rows = frame.iloc[::every]
+    turn = (rows["lon_deg"].to_numpy() - lon0 + 180.0) % 360.0 - 180.0
+    north = np.radians(rows["lat_deg"].to_numpy() - lat0) * (meridian + alt0)
+    east = np.radians(turn) * (normal + alt0) * np.cos(np.radians(lat0))
+    return east, north, rows["alt_m"].to_numpy()
+
+
+def map_limits(east: Array, north: Array) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Limits of the true track with a margin, so that a diverged estimate cannot shrink the map."""
+    margin = 0.08 * max(np.ptp(east), np.ptp(north), 10.0)
+    return (east.min() - margin, east.max() + margin), (north.min() - margin, north.max() + margin)
+
+
+def height_limits(up: Array) -> tuple[float, float]:
+    margin = max(0.3 * float(np.ptp(up)), 20.0)
+    return float(up.min()) - margin, float(up.max()) + margin

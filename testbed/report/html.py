@@ -1,0 +1,111 @@
+"""``report.html``: one file that holds text, tables, data and the plotting script; it asks nothing of a network.
+
+plotly.js (its gl3d bundle, MIT licence) and the traces are stored gzipped in base64 and unpacked by the browser when the
+first plot comes near; the tables stand without script. Units stand in heads and axes.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from functools import cache
+from importlib import resources
+from itertools import groupby
+from typing import Any
+
+from testbed.report import provenance, tables
+from testbed.report.charts import charts
+from testbed.report.headline import headline
+from testbed.report.labels import COLOURS, window_label
+from testbed.report.results import Result
+from testbed.report.text import comparison_windows
+
+ASSETS = resources.files("testbed.report") / "assets"
+
+
+def page(result: Result) -> str:
+    """The whole page as text."""
+    lead = headline(result)
+    drawn = charts(result, lead)
+    windows = comparison_windows(result)
+    return template("report.html.j2").render(
+        result=result,
+        lead=lead,
+        comparisons=[(window_label(w), tables.comparison(result, w)) for w in windows],
+        claims=tables.claims(result),
+        paper_tables=tables.paper_tables(result),
+        failures=tables.failures(result),
+        consistency=tables.consistency(result),
+        timings=tables.timings(result),
+        sensors=tables.sensors(result),
+        provenance=provenance.rows(result),
+        command=provenance.command(result),
+        findings=markdown(result.findings),
+        charts=drawn,
+        sections=_sections(result, drawn),
+        data=_pack(json.dumps({"charts": drawn, "colours": COLOURS}, separators=(",", ":"), allow_nan=False).encode()),
+        plotly=_library() if drawn else "",
+        **_embedded("report.js"),
+    )
+
+
+def template(name: str) -> Any:
+    """A template of the assets folder; text is escaped."""
+    import jinja2
+
+    loader = jinja2.FunctionLoader(asset)
+    environment = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["groupby_run"] = _spans
+    return environment.get_template(name)
+
+
+def asset(name: str) -> str:
+    return (ASSETS / name).read_text(encoding="utf-8")
+
+
+def markdown(text: str) -> str:
+    """Markdown as HTML, headings two levels down; markup in the text is shown, not obeyed."""
+    from markdown_it import MarkdownIt
+
+    if not text:
+        return ""
+    parser = MarkdownIt("commonmark", {"html": False}).enable("table").disable("image")
+    tokens = parser.parse(text)
+    for token in tokens:
+        if token.type in ("heading_open", "heading_close"):
+            token.tag = f"h{min(6, int(token.tag[1]) + 2)}"
+    return str(parser.renderer.render(tokens, parser.options, {}))
+
+
+def _spans(columns: list[tables.Column]) -> list[tuple[str, int]]:
+    """Neighbouring columns of one group: (group, how many)."""
+    return [(group, len(list(members))) for group, members in groupby(columns, key=lambda c: c.group)]
+
+
+def _embedded(script: str) -> dict[str, str]:
+    return {"style": asset("report.css"), "script": asset(script)}
+
+
+@cache
+def _library() -> str:
+    return base64.b64encode((ASSETS / "plotly-gl3d.min.js.gz").read_bytes()).decode("ascii")
+
+
+def _pack(data: bytes) -> str:
+    return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode("ascii")
+
+
+def _sections(result: Result, drawn: dict[str, Any]) -> list[tuple[str, str]]:
+    """(anchor, name) of what the page contains, in order."""
+    found = [("comparison", "Comparison")]
+    found += [("claims", "Claims")] if len(result.claims) else []
+    found += [("paper", "Paper’s tables")] if result.scenario.get("tables") else []
+    found += [("flight", "Flight")] if "track" in drawn else []
+    found += [("errors", "Errors")] if "errors" in drawn else []
+    found += [("spread", "Monte Carlo")] if {"spread", "envelopes"} & set(drawn) else []
+    found += [("consistency", "Consistency")] if {"consistency", "innovations"} & set(drawn) else []
+    found += [("extras", "Inside the filters")] if "extras" in drawn else []
+    found += [("time", "Time")] if len(result.timings) else []
+    found += [("sensors", "Sensors")] if result.info.get("sensors") else []
+    return [*found, ("provenance", "Provenance")]

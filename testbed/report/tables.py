@@ -1,0 +1,296 @@
+"""The report's tables as plain values: one `Table` each, rendered alike by page, Markdown and LaTeX, so that the numbers agree.
+
+Means and 95 % intervals come from ``summary.csv``, verdicts from ``claims.csv``; nothing is estimated again here.
+Units stand in the column heads.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import pandas as pd
+
+from testbed.report.labels import (
+    MISSING,
+    metric_label,
+    number,
+    percent,
+    quantity_label,
+    unit,
+    verdict_kind,
+    window_label,
+)
+from testbed.report.results import Result
+
+COMPARED = (
+    "rmse_north_m rmse_east_m rmse_down_m rmse_position_3d_m max_position_3d_m final_position_3d_m rmse_velocity_3d_mps "
+    "rmse_roll_deg rmse_pitch_deg rmse_yaw_deg rmse_attitude_deg"
+).split()
+SHORT = {
+    "rmse_north_m": "North",
+    "rmse_east_m": "East",
+    "rmse_down_m": "Down",
+    "rmse_position_3d_m": "3-D pos.",
+    "max_position_3d_m": "Max 3-D",
+    "final_position_3d_m": "End 3-D",
+    "rmse_velocity_3d_mps": "3-D vel.",
+    "rmse_roll_deg": "Roll",
+    "rmse_pitch_deg": "Pitch",
+    "rmse_yaw_deg": "Yaw",
+    "rmse_attitude_deg": "Attitude",
+}
+
+
+@dataclass(frozen=True)
+class Column:
+    """Head of a column: ``label``, ``unit``, the ``group`` that spans neighbours, and the long ``title``."""
+
+    label: str
+    unit: str = ""
+    group: str = ""
+    title: str = ""
+    numeric: bool = True
+
+
+@dataclass(frozen=True)
+class Cell:
+    """``text`` as printed, ``value`` to sort by, ``interval`` in words, ``best`` of its column, verdict ``kind``."""
+
+    text: str
+    value: float | None = None
+    interval: str = ""
+    best: bool = False
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """``rows`` are (name, cells). ``corner`` heads the column of names."""
+
+    key: str
+    title: str
+    columns: list[Column]
+    rows: list[tuple[str, list[Cell]]]
+    note: str = ""
+    corner: str = "Estimator"
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+def comparison(result: Result, window: str) -> Table:
+    """One row per estimator, one column per error measure: mean over the runs, its 95 % interval, best of each column."""
+    metrics = [m for m in COMPARED if any(_finite(_lookup(result, window, m, e, "mean")) for e in result.estimators)]
+    best = {m: _best(result, window, m) for m in metrics}
+    rows = []
+    for label in result.estimators:
+        rows.append((label, [_mean_cell(result, window, m, label, best[m]) for m in metrics]))
+    columns = [Column(SHORT[m], unit(m), title=metric_label(m)) for m in metrics]
+    counts = sorted({int(n) for n in result.summary.loc[result.summary["window"] == window, "n"].dropna()})
+    over = f"{counts[0]} to {counts[-1]} runs" if len(counts) > 1 else f"{counts[0]} runs" if counts else "no runs"
+    note = f"RMSE over the {window_label(window)} unless the head says otherwise; mean over {over} with its 95 % interval."
+    if window.startswith(("phase", "outage")) or window not in ("all",):
+        note = f"RMSE in the window “{window_label(window)}”; mean over {over} with its 95 % interval."
+    return Table(f"comparison-{window}", f"Errors, {window_label(window)}", columns, rows, note)
+
+
+def claims(result: Result) -> Table | None:
+    """Each claim of the source with the paper's figure, ours, its interval and the verdict."""
+    if result.claims.empty:
+        return None
+    columns = [
+        Column("Claim", numeric=False),
+        Column("Paper", "%", title="Improvement that the paper states"),
+        Column("Measured", "%", title="Improvement measured here"),
+        Column("95 % interval", "%", numeric=False),
+        Column("Verdict", numeric=False),
+    ]
+    rows = []
+    for claim in result.claims.to_dict("records"):
+        interval = _interval(claim["ci_low"], claim["ci_high"], percent)
+        verdict = str(claim["verdict"]) if isinstance(claim["verdict"], str) else "not tested"
+        cells = [
+            Cell(str(claim["text"])),
+            Cell(percent(claim["paper_pct"]), _value(claim["paper_pct"])),
+            Cell(percent(claim["measured_pct"]), _value(claim["measured_pct"]), interval),
+            Cell(interval or MISSING),
+            Cell(verdict, kind=verdict_kind(verdict)),
+        ]
+        rows.append((str(claim["id"]), cells))
+    note = "Improvement: by how many percent the first method's error is lower; negative means higher. Runs are paired by seed."
+    return Table("claims", "Claims of the paper", columns, rows, note, corner="No.")
+
+
+def paper_tables(result: Result) -> list[Table]:
+    """The paper's own tables, its numbers beside ours (``[[tables]]`` of the scenario)."""
+    return [_paper_table(result, k, spec) for k, spec in enumerate(result.scenario.get("tables", []), start=1)]
+
+
+def _paper_table(result: Result, index: int, spec: Mapping[str, Any]) -> Table:
+    window = str(spec.get("window", "all"))
+    heads = [str(c) for c in spec.get("columns", [])]
+    columns = [Column(side, group=head) for head in heads for side in ("paper", "ours")]
+    rows = []
+    for row in spec.get("rows", []):
+        cells: list[Cell] = []
+        paper = list(row.get("paper", []))
+        for k, head in enumerate(heads):
+            estimator, where = _paper_target(row, k, head, window)
+            printed = paper[k] if k < len(paper) else None
+            cells += [Cell(number(printed, 4), _value(printed)), _measured(result, where, row, estimator)]
+        name = str(row.get("name", row.get("metric", "")))
+        rows.append((f"{name}, {row['unit']}" if row.get("unit") else name, cells))
+    text = f"Ours: mean over {result.run_count} runs, {window_label(window)}; hover or focus a number for its 95 % interval."
+    note = " ".join(filter(None, (str(spec.get("note", "")), text)))
+    return Table(f"paper-{index}", str(spec.get("title", f"Table {index} of the paper")), columns, rows, note, corner="")
+
+
+def _paper_target(row: Mapping[str, Any], k: int, head: str, window: str) -> tuple[str, str]:
+    """Estimator and window of a cell. A column names an estimator, unless the row does (then it names a window)."""
+    if "estimators" in row:
+        return str(row["estimators"][k]), str(row.get("window", window))
+    if "estimator" in row:
+        windows = row.get("windows")
+        return str(row["estimator"]), str(windows[k] if windows else row.get("window", head))
+    return head, str(row.get("window", window))
+
+
+def _measured(result: Result, window: str, row: Mapping[str, Any], estimator: str) -> Cell:
+    scale, metric = float(row.get("scale", 1.0)), str(row.get("metric", ""))
+    if metric in ("seconds", "time_s"):
+        seconds = result.runs.loc[result.runs["estimator"] == estimator, "seconds"]
+        value = float(seconds.median()) * scale if len(seconds) else math.nan
+        return Cell(number(value), _value(value))
+    value, low, high = (scale * _lookup(result, window, metric, estimator, c) for c in ("mean", "ci_low", "ci_high"))
+    return Cell(number(value), _value(value), _interval(low, high))
+
+
+def timings(result: Result) -> Table | None:
+    """Computation time per IMU sample and against real time."""
+    if result.timings.empty:
+        return None
+    columns = [
+        Column("Median", "µs", title="Median time per IMU sample"),
+        Column("Fastest", "µs", title="Fastest run, per IMU sample"),
+        Column("Samples", "", title="IMU samples per run"),
+        Column("One run", "s", title="Median time of a run"),
+    ]
+    fastest = result.timings["median_us"].min()
+    rows = []
+    for label in result.estimators:
+        for r in result.timings[result.timings["estimator"] == label].to_dict("records"):
+            whole = r["median_us"] * r["samples"] * 1e-6
+            cells = [
+                Cell(number(r["median_us"]), _value(r["median_us"]), best=r["median_us"] == fastest),
+                Cell(number(r["min_us"]), _value(r["min_us"])),
+                Cell(f"{int(r['samples']):,}".replace(",", "\u202f"), _value(r["samples"])),
+                Cell(number(whole), _value(whole)),
+            ]
+            rows.append((label, cells))
+    return Table("timings", "Computation time", columns, rows, "Time spent inside the estimator on this machine, one thread.")
+
+
+def consistency(result: Result) -> Table | None:
+    """NEES and NIS: mean over runs and time, expected value, and the share of time inside the chi-square bounds."""
+    frame = result.consistency.dropna(subset=["mean"])
+    if frame.empty:
+        return None
+    quantities = list(dict.fromkeys(frame["quantity"]))
+    columns = []
+    for quantity in quantities:
+        dof = frame.loc[frame["quantity"] == quantity, "dof"].iloc[0]
+        group = f"{quantity_label(quantity)} (expect {number(dof, 2)})"
+        columns += [Column("mean", group=group), Column("inside", "%", group=group, title="Share of time inside the bounds")]
+    rows = []
+    for label in result.estimators:
+        cells: list[Cell] = []
+        for quantity in quantities:
+            found = frame[(frame["estimator"] == label) & (frame["quantity"] == quantity)].to_dict("records")
+            r = found[0] if found else {}
+            bounds = f"bounds {number(r['lower'])} to {number(r['upper'])}" if found else ""
+            share = 100.0 * float(r.get("share_inside", math.nan))
+            cells += [Cell(number(r.get("mean")), _value(r.get("mean")), bounds), Cell(percent(share), _value(share))]
+        if any(c.value is not None for c in cells):
+            rows.append((label, cells))
+    note = (
+        "An honest filter's mean equals the expected value; above it the filter is overconfident, below it too cautious. "
+        "“Inside”: share of the time that the average over the runs lies in its 95 % chi-square bounds."
+    )
+    return Table("consistency", "Consistency", columns, rows, note)
+
+
+def sensors(result: Result) -> list[Table]:
+    """One table per sensor: the data-sheet values that generated the recordings."""
+    tables = []
+    for sensor, values in result.info.get("sensors", {}).items():
+        if not isinstance(values, Mapping):
+            continue
+        title = {"imu": "Inertial sensors", "gnss": "GNSS receiver", "mag": "Magnetometer", "baro": "Barometer"}
+        rows = [(key, [Cell(_plain(value))]) for key, value in _flatten(values)]
+        tables.append(Table(f"sensor-{sensor}", title.get(sensor, sensor), [Column("Value", numeric=False)], rows, corner="Quantity"))
+    return tables
+
+
+def failures(result: Result) -> Table | None:
+    """Runs that diverged or failed, counted by reason; None when all went well."""
+    if result.runs.empty:
+        return None
+    bad = result.runs[result.runs["status"] != "ok"]
+    if bad.empty:
+        return None
+    counts = bad.groupby(["estimator", "status"], sort=False).size()
+    rows = [(str(e), [Cell(str(s)), Cell(str(n), float(n))]) for (e, s), n in counts.items()]
+    columns = [Column("What happened", numeric=False), Column("Runs")]
+    note = f"Of {result.run_count} runs. These runs are left out of that estimator's means."
+    return Table("failures", "Runs that diverged or failed", columns, rows, note)
+
+
+def _mean_cell(result: Result, window: str, metric: str, estimator: str, best: str | None) -> Cell:
+    mean, low, high = (_lookup(result, window, metric, estimator, c) for c in ("mean", "ci_low", "ci_high"))
+    return Cell(number(mean), _value(mean), _interval(low, high), best=estimator == best)
+
+
+def _lookup(result: Result, window: str, metric: str, estimator: str, column: str) -> float:
+    key = (window, metric, estimator)
+    if key not in result.means.index:
+        return math.nan
+    found = result.means.loc[key, column]
+    return float(found.iloc[0] if isinstance(found, pd.Series) else found)
+
+
+def _best(result: Result, window: str, metric: str) -> str | None:
+    means = {e: _lookup(result, window, metric, e, "mean") for e in result.estimators}
+    means = {e: v for e, v in means.items() if math.isfinite(v)}
+    return min(means, key=means.__getitem__) if len(means) > 1 else None
+
+
+def _interval(low: object, high: object, form: Any = number) -> str:
+    return f"{form(low)} to {form(high)}" if _finite(low) and _finite(high) else ""
+
+
+def _finite(value: object) -> bool:
+    return _value(value) is not None
+
+
+def _value(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    return float(value) if math.isfinite(value) else None
+
+
+def _flatten(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    rows: list[tuple[str, Any]] = []
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        rows += _flatten(value, f"{name}.") if isinstance(value, Mapping) else [(name, value)]
+    return rows
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, (list, tuple)):
+        return re.sub(r"\s+", " ", ", ".join(_plain(v) for v in value)) or MISSING
+    return number(value) if isinstance(value, float) else str(value) if value is not None else MISSING

@@ -1,0 +1,122 @@
+"""``report.md`` and ``tables.tex``: the report's numbers as Markdown and as LaTeX (booktabs).
+
+Both render the `Table` values of `testbed.report.tables`; units stand in the column heads.
+"""
+
+from __future__ import annotations
+
+from testbed.report import provenance, tables
+from testbed.report.headline import headline
+from testbed.report.labels import window_label
+from testbed.report.results import Result
+from testbed.report.tables import Cell, Column, Table
+
+
+def markdown(result: Result, figures: dict[str, str]) -> str:
+    """The whole report. ``figures`` maps a file name in ``figures/`` to its caption."""
+    parts = [f"# {result.title}"]
+    if result.source:
+        parts.append(f"*{result.source}*")
+    parts.append(" ".join(headline(result).sentences))
+    if result.findings:
+        parts.append("## Findings\n\n" + _demote(result.findings.strip()))
+    shown = [comparison_windows(result)[0]] if result.windows else []
+    parts += ["## Comparison"] + [_markdown_table(tables.comparison(result, w)) for w in shown]
+    if (table := tables.failures(result)) is not None:
+        parts += [f"## {table.title}", _markdown_table(table)]
+    if (table := tables.claims(result)) is not None:
+        parts += [f"## {table.title}", _markdown_table(table)]
+    for table in tables.paper_tables(result):
+        parts += [f"## {table.title}", _markdown_table(table)]
+    others = comparison_windows(result)[1:]
+    if others:
+        parts.append("## Other windows")
+        parts += [f"### {window_label(w)}\n\n" + _markdown_table(tables.comparison(result, w)) for w in others]
+    if figures:
+        parts += ["## Figures"] + [f"![{caption}](figures/{name})\n\n*{caption}*" for name, caption in figures.items()]
+    for table in (tables.consistency(result), tables.timings(result)):
+        if table is not None:
+            parts += [f"## {table.title}", _markdown_table(table)]
+    if sensor_tables := tables.sensors(result):
+        parts.append("## Sensors")
+        parts += [f"### {t.title}\n\n" + _markdown_table(t) for t in sensor_tables]
+    parts.append("## Provenance\n\n" + "\n".join(f"- {name}: {value}" for name, value in provenance.rows(result)))
+    parts.append("```\n" + provenance.command(result) + "\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def comparison_windows(result: Result) -> list[str]:
+    """Windows in the order shown: the headline's first."""
+    first = headline(result).window
+    return sorted(result.windows, key=lambda w: (w != first, w != "all"))
+
+
+def _demote(text: str) -> str:
+    """Findings' headings sink below the report's own."""
+    return "\n".join("##" + line if line.startswith("#") else line for line in text.splitlines())
+
+
+def _markdown_table(table: Table) -> str:
+    heads = [table.corner or " "] + [_head(c) for c in table.columns]
+    rule = [":---"] + ["---:" if c.numeric else ":---" for c in table.columns]
+    lines = ["| " + " | ".join(heads) + " |", "| " + " | ".join(rule) + " |"]
+    for name, cells in table.rows:
+        lines.append("| " + " | ".join([_bar(name), *(_markdown_cell(c) for c in cells)]) + " |")
+    return "\n".join(lines) + (f"\n\n{table.note}" if table.note else "")
+
+
+def _markdown_cell(cell: Cell) -> str:
+    text = f"**{cell.text}**" if cell.best or cell.kind else cell.text
+    return _bar(f"{text} ({cell.interval})" if cell.interval else text)
+
+
+def _head(column: Column) -> str:
+    words = f"{column.group}: {column.label}" if column.group else column.label
+    return _bar(f"{words}, {column.unit}" if column.unit else words)
+
+
+def _bar(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+def latex(result: Result) -> str:
+    """Tables for ``\\input``: comparison per window, claims, the paper's tables, consistency, time. Needs booktabs."""
+    found = [tables.comparison(result, w) for w in comparison_windows(result)]
+    found += [t for t in (tables.claims(result), tables.consistency(result), tables.timings(result)) if t is not None]
+    found += tables.paper_tables(result)
+    return "% needs \\usepackage{booktabs}\n\n" + "\n".join(_latex_table(result, t) for t in found)
+
+
+def _latex_table(result: Result, table: Table) -> str:
+    layout = "l" + "".join("r" if c.numeric else "p{5cm}" if c.label == "Claim" else "l" for c in table.columns)
+    lines = ["\\begin{table}[htbp]", "  \\centering\\small", f"  \\caption{{{_escape(f'{table.title}. {table.note}')}}}"]
+    lines += [f"  \\label{{tab:{result.name}-{table.key}}}", f"  \\begin{{tabular}}{{{layout}}}", "    \\toprule"]
+    lines += _latex_heads(table) + ["    \\midrule"]
+    for name, cells in table.rows:
+        lines.append("    " + " & ".join([_escape(name), *(_latex_cell(c) for c in cells)]) + " \\\\")
+    return "\n".join([*lines, "    \\bottomrule", "  \\end{tabular}", "\\end{table}", ""])
+
+
+def _latex_heads(table: Table) -> list[str]:
+    lines = []
+    if any(c.group for c in table.columns):
+        groups: list[tuple[str, int]] = []
+        for column in table.columns:
+            if groups and groups[-1][0] == column.group:
+                groups[-1] = (column.group, groups[-1][1] + 1)
+            else:
+                groups.append((column.group, 1))
+        lines.append("    & " + " & ".join(f"\\multicolumn{{{n}}}{{c}}{{{_escape(g)}}}" for g, n in groups) + " \\\\")
+    heads = [f"{c.label} ({c.unit})" if c.unit else c.label for c in table.columns]
+    return [*lines, "    " + " & ".join(_escape(h) for h in [table.corner, *heads]) + " \\\\"]
+
+
+def _latex_cell(cell: Cell) -> str:
+    return f"\\textbf{{{_escape(cell.text)}}}" if cell.best else _escape(cell.text)
+
+
+def _escape(text: str) -> str:
+    swaps = {"\\": "\\textbackslash{}", "{": "\\{", "}": "\\}", "%": "\\%", "&": "\\&", "_": "\\_", "#": "\\#", "$": "\\$"}
+    swaps |= {"~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "°": "$^\\circ$", "µ": "$\\mu$", "−": "$-$", "±": "$\\pm$"}
+    swaps |= {"–": "--", "“": "``", "”": "''", "\u202f": "\\,", "√": "$\\sqrt{}$", "²": "$^2$", "³": "$^3$", "×": "$\\times$"}
+    return "".join(swaps.get(c, c) for c in text)

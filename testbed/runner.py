@@ -1,0 +1,272 @@
+"""The Monte Carlo runner: fly, sense, estimate and score over many seeds; store every run; write the tables.
+
+Unit of work: `testbed.units`. Where it is computed: `testbed.executors`. What is kept: `testbed.store`. The tables do not
+depend on the number of workers, on their order, or on how often the batch was interrupted and resumed.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from testbed import executors, pipeline
+from testbed.errors import InputError, TestbedError, nearest
+from testbed.records import Trajectory
+from testbed.scenario import Scenario
+from testbed.store import Store, files_digest
+from testbed.units import Setup, envelope_times
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Progress = Callable[[int, int], None]
+"""Called with the number of runs done and the number wanted."""
+
+
+class Interrupted(TestbedError):
+    """The user stopped the batch; what is done is stored."""
+
+
+@dataclass(frozen=True)
+class Auto:
+    """Sequential stopping: run until the interval of every claim is narrower than ``width_pct``, or ``cap`` runs are done.
+
+    Looks after ``first`` runs and then whenever the number has grown by half, so the stopping time depends on the seed only.
+    """
+
+    width_pct: float = 5.0
+    cap: int = 1000
+    first: int = 20
+
+    def checkpoints(self) -> Iterator[int]:
+        """Numbers of runs at which to look."""
+        n = min(self.first, self.cap)
+        while n < self.cap:
+            yield n
+            n = min(self.cap, n + max(1, n // 2))
+        yield n
+
+
+@dataclass
+class Result:
+    """A finished batch: where it is stored, and its tables."""
+
+    out: Path
+    runs: pd.DataFrame
+    summary: pd.DataFrame
+    claims: pd.DataFrame
+    timings: pd.DataFrame
+    improvements: pd.DataFrame
+    consistency: pd.DataFrame
+
+    @property
+    def metrics(self) -> pd.DataFrame:
+        """The long table of every run, read from the disk: run, estimator, window, metric, value."""
+        import pandas as pd
+
+        return pd.read_parquet(self.out / "metrics.parquet")
+
+
+def run(
+    scenario: Scenario,
+    out: str | Path,
+    runs: int | Auto | None = None,
+    seed: int | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    resume: bool = False,
+    estimators: Sequence[str] | None = None,
+    timeout: float | None = None,
+    progress: Progress | None = None,
+    plugins: Sequence[str | Path] = (),
+) -> Result:
+    """Run a scenario's Monte Carlo and write the result folder ``out``.
+
+    ``runs``, ``seed``, ``estimators`` (labels) and ``timeout`` (s, per estimator and run) stand above the scenario's;
+    ``jobs`` processes (default: one per core; 1 computes in this process), or a Dask cluster at ``scheduler``.
+    ``resume`` completes what an earlier call left. Raises InputError before anything is written, Interrupted on Ctrl-C.
+    """
+    scenario = with_settings(scenario, runs if isinstance(runs, int) else None, seed, estimators)
+    if isinstance(runs, Auto) and not scenario.active_claims():
+        raise InputError(f"{scenario.name}: --runs auto watches the intervals of claims, but the scenario has none")
+    jobs = jobs if jobs is not None else os.cpu_count() or 1
+    if jobs < 1:
+        raise InputError(f"--jobs {jobs}: at least one")
+    if timeout is not None and timeout <= 0:
+        raise InputError(f"--timeout {timeout:g}: must be above 0 s")
+    setup = Setup(scenario, tuple(str(Path(p).resolve()) for p in plugins), timeout)
+    identity = {"scenario": scenario.digest(), "plugins": files_digest(setup.plugins)}
+    trajectory = prepare(setup)
+    store = Store.create(out, identity, scenario.to_toml(), resume)
+    started = time.time()
+    store.update_manifest(**provenance(scenario, setup), finished=False)
+    done = set(store.finished_runs())
+    wanted = 0
+    for wanted in runs.checkpoints() if isinstance(runs, Auto) else [scenario.monte_carlo.runs]:
+        missing = [k for k in range(wanted) if k not in done]
+        _complete(store, setup, missing, wanted, jobs, scheduler, progress)
+        done.update(missing)
+        if isinstance(runs, Auto) and _narrow(store, scenario, wanted, runs.width_pct):
+            break
+    from testbed.aggregate import aggregate
+
+    tables = aggregate(store, scenario, range(wanted), envelope_times(trajectory))
+    seconds = round(time.time() - started, 3)
+    store.update_manifest(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
+    return Result(store.out, **vars(tables))
+
+
+def with_settings(
+    scenario: Scenario, runs: int | None = None, seed: int | None = None, estimators: Sequence[str] | None = None
+) -> Scenario:
+    """The scenario with a number of runs, a seed, and only the estimators of these labels (claims on others go)."""
+    changes: dict[str, Any] = {}
+    if runs is not None and runs < 1:
+        raise InputError(f"--runs {runs}: at least one")
+    if seed is not None and seed < 0:
+        raise InputError(f"--seed {seed}: must not be negative")
+    settings = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
+    if settings:
+        changes["monte_carlo"] = scenario.monte_carlo.model_copy(update=settings)
+    if estimators is not None:
+        known = [entry.row for entry in scenario.estimators]
+        for label in estimators:
+            if label not in known:
+                raise InputError(f"{scenario.name}: no estimator '{label}'; {nearest(label, known)}")
+        if not estimators:
+            raise InputError("--estimators: name at least one")
+        changes["estimators"] = [entry for entry in scenario.estimators if entry.row in estimators]
+        changes["claims"] = [c for c in scenario.claims if c.better in estimators and c.than in estimators]
+    return scenario.model_copy(update=changes) if changes else scenario
+
+
+def prepare(setup: Setup) -> Trajectory:
+    """Find out what is wrong before anything is written: plug-ins, estimators, windows; fly, so that workers find the flight.
+
+    An estimator with a method ``prepare(scenario)`` is given the occasion to load or train what its runs will share.
+    """
+    from testbed.registry import load_plugin, make_estimator
+
+    scenario = setup.scenario
+    for plugin in setup.plugins:
+        load_plugin(plugin)
+    for entry in scenario.estimators:
+        estimator = make_estimator(entry.name, **entry.params)
+        if (ready := getattr(estimator, "prepare", None)) is not None:
+            ready(scenario)
+    trajectory = pipeline.fly(scenario, 0)
+    log, _ = pipeline.sense(scenario, trajectory)
+    check_claims(scenario, [window.name for window in pipeline.windows_of(scenario, trajectory, log)])
+    return trajectory
+
+
+def check_claims(scenario: Scenario, windows: Sequence[str]) -> None:
+    """Raise InputError for a claim on a metric or window that does not exist."""
+    from testbed.claims import TIME_METRIC
+    from testbed.metrics import metric_names
+
+    metrics = [*metric_names(), TIME_METRIC]
+    for claim in scenario.active_claims():
+        where = f"{scenario.source_path or scenario.name}: claim '{claim.id or claim.text}'"
+        if claim.metric not in metrics:
+            raise InputError(f"{where}: unknown metric '{claim.metric}'; {nearest(claim.metric, metrics)}")
+        if claim.window not in windows:
+            raise InputError(f"{where}: unknown window '{claim.window}'; {nearest(claim.window, windows)}")
+
+
+def provenance(scenario: Scenario, setup: Setup) -> dict[str, Any]:
+    """What a reader of the result will want to know: versions, git revision, machine, seeds."""
+    import platform
+    from importlib.metadata import PackageNotFoundError, version
+
+    import testbed
+
+    packages = {}
+    for name in ("numpy", "scipy", "numba", "pandas", "jsbsim", "torch"):
+        try:
+            packages[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return {
+        "scenario": scenario.name,
+        "variant": scenario.variant,
+        "profile": scenario.profile,
+        "seed": scenario.monte_carlo.seed,
+        "runs": scenario.monte_carlo.runs,
+        "estimators": [entry.row for entry in scenario.estimators],
+        "plugins": [Path(p).name for p in setup.plugins],
+        "testbed": testbed.__version__,
+        "git": git_revision(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "packages": packages,
+    }
+
+
+def git_revision() -> str | None:
+    """Commit of the checkout that the package runs from, with ``+`` where it was changed; None outside of git."""
+    import subprocess
+
+    folder = Path(__file__).resolve().parent.parent
+    if not (folder / ".git").exists():
+        return None
+    try:
+        commands = (["git", "rev-parse", "--short=12", "HEAD"], ["git", "status", "--porcelain", "--untracked-files=no"])
+        head, changes = (subprocess.run(c, cwd=folder, capture_output=True, text=True, timeout=10) for c in commands)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return head.stdout.strip() + ("+" if changes.stdout.strip() else "") if head.returncode == 0 else None
+
+
+def _complete(
+    store: Store, setup: Setup, missing: list[int], wanted: int, jobs: int, scheduler: str | None, progress: Progress | None
+) -> None:
+    """Compute and store the missing runs."""
+    done = wanted - len(missing)
+    if progress is not None:
+        progress(done, wanted)
+    if not missing:
+        return
+    units = _units(setup, missing, jobs, scheduler)
+    try:
+        for unit in units:
+            store.write_run(unit.run, unit.content, unit.files)
+            done += 1
+            if progress is not None:
+                progress(done, wanted)
+    except KeyboardInterrupt:
+        raise Interrupted(
+            f"{store.out}: stopped with {done} of {wanted} runs stored; the same command with --resume completes them"
+        ) from None
+    finally:
+        units.close()
+
+
+def _units(setup: Setup, missing: list[int], jobs: int, scheduler: str | None) -> Any:
+    """Generator of finished units."""
+    if scheduler is not None:
+        return executors.cluster(setup, missing, scheduler)
+    guarded = setup.timeout_s or setup.scenario.monte_carlo.timeout_s
+    if (jobs == 1 and not guarded) or len(missing) == 1 and not guarded:
+        return executors.inline(setup, missing)
+    return executors.Pool(setup, min(jobs, len(missing))).run(missing)
+
+
+def _narrow(store: Store, scenario: Scenario, runs: int, width_pct: float) -> bool:
+    """Whether the interval of every claim is narrower than ``width_pct``."""
+    from testbed.aggregate import claim_values
+    from testbed.claims import measure
+
+    cells = [(row, c.window, c.metric) for c in scenario.active_claims() for row in (c.better, c.than)]
+    values = claim_values(store, range(runs), cells)
+    for claim in scenario.active_claims():
+        measured = measure(claim, lambda *cell: values.get(cell), scenario.monte_carlo.seed)
+        if measured is not None and not measured.high - measured.low < width_pct:
+            return False
+    return True
+
+

@@ -1,0 +1,264 @@
+"""The ``[sensors.*]`` and ``[initial]`` tables of a scenario, checked by pydantic.
+
+Figures of a sensor come from the catalogue; any catalogue key may stand in the table to replace the entry's figure.
+Units are in the key names; times are seconds from the start of the flight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import ConfigDict, Field, model_validator
+
+from testbed.errors import InputError, nearest
+from testbed.schema import Table
+from testbed.sensors import catalog
+from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Triple = Annotated[tuple[float, float, float], Field(strict=False)]
+Window = Annotated[tuple[float, float], Field(strict=False)]
+
+ImuStep = Literal[
+    "lever_arm",
+    "scale_factor",
+    "misalignment",
+    "nonlinearity",
+    "g_sensitivity",
+    "turn_on_bias",
+    "bias_instability",
+    "rate_random_walk",
+    "white_noise",
+    "temperature",
+    "vibration",
+    "bandwidth",
+    "saturation",
+    "quantisation",
+]
+"""The steps of the IMU chain, in their order."""
+
+
+class SensorTable(Table):
+    """A table that names a catalogue entry and may replace its figures: every further key must be a catalogue key."""
+
+    model_config = ConfigDict(extra="allow")
+    kind: ClassVar[str]
+
+    model: str = "ideal"
+    file: str | None = None
+    """The user's own catalogue (TOML)."""
+
+    @model_validator(mode="after")
+    def _resolvable(self) -> SensorTable:
+        try:
+            self._figures()
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def _figures(self) -> Any:
+        """The catalogue entry with the table's own figures, SI. Raises InputError for an unknown model, key or value."""
+        extra = self.model_extra or {}
+        valid = set(catalog.keys(self.kind)) | set(type(self).model_fields)
+        for key in extra:
+            if key not in valid:
+                raise InputError(f"unknown key '{key}'; {nearest(key, valid)}")
+        rate = getattr(self, "rate_hz", None)
+        file = Path(self.file) if self.file is not None else None
+        return catalog.specification(self.kind, self.model, extra | ({"rate_hz": rate} if rate else {}), file)
+
+
+class Temperature(Table):
+    """Temperature of the IMU over the flight, linear between the points and constant outside."""
+
+    time_s: Annotated[list[float], Field(min_length=1)]
+    celsius: Annotated[list[float], Field(min_length=1)]
+    reference_celsius: float = 25.0
+    """Where the temperature errors are zero."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Temperature:
+        if len(self.time_s) != len(self.celsius):
+            raise ValueError("time_s and celsius must have the same length")
+        if any(b <= a for a, b in zip(self.time_s, self.time_s[1:], strict=False)):
+            raise ValueError("time_s must increase")
+        return self
+
+
+class Tone(Table):
+    """One sinusoid of the vibration: at a multiple of the engine speed, or at a fixed frequency."""
+
+    order: Positive | None = None
+    """Multiple of the shaft frequency (needs the trajectory's column engine_rpm)."""
+    frequency_hz: Positive | None = None
+    """Used without an order, or where the trajectory has no engine speed."""
+    accel_g: Triple = (0.0, 0.0, 0.0)
+    """Amplitude along b."""
+    gyro_dps: Triple = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _has_frequency(self) -> Tone:
+        if self.order is None and self.frequency_hz is None:
+            raise ValueError("give order (of the engine speed) or frequency_hz")
+        return self
+
+
+class Vibration(Table):
+    """Engine vibration: sinusoids and band noise."""
+
+    tones: list[Tone] = []
+    band_hz: Window | None = None
+    band_accel_g: Triple = (0.0, 0.0, 0.0)
+    """RMS of the band noise along b (at rpm_nominal if the trajectory has the engine speed)."""
+    band_gyro_dps: Triple = (0.0, 0.0, 0.0)
+    rpm_nominal: Positive | None = None
+    """Engine speed at which amplitudes are as given; they grow with its square. None: they do not change."""
+
+
+class ImuConfig(SensorTable):
+    """``[sensors.imu]``"""
+
+    kind: ClassVar[str] = "imu"
+    rate_hz: Positive | None = None
+    """Default: the rate of the trajectory. The trajectory's rate must be a whole multiple of it."""
+    lever_arm_m: Triple = (0.0, 0.0, 0.0)
+    """From the reference point of the trajectory to the IMU, in b."""
+    disable: list[ImuStep] = []
+    temperature: Temperature | None = None
+    vibration: Vibration | None = None
+
+    def spec(self, rate_hz: float) -> ImuSpec:
+        """The specification at the given rate of the recording."""
+        return replace(self._figures(), rate_hz=rate_hz, lever_arm_b=self.lever_arm_m)
+
+
+class RandomOutages(Table):
+    """Outages drawn anew in every run: they never overlap."""
+
+    count: Annotated[int, Field(ge=1)]
+    duration_s: Positive
+    after_s: NonNegative = 60.0
+    """Not before this time."""
+    gap_s: NonNegative = 30.0
+    """At least this long between two outages, and before the end of the flight."""
+
+
+class OutlierBursts(Table):
+    """Stretches of wrong fixes (multipath): a constant offset in a drawn direction plus enlarged noise."""
+
+    count: Annotated[int, Field(ge=1)]
+    duration_s: Positive = 1.0
+    offset_m: NonNegative = 50.0
+    offset_mps: NonNegative = 0.0
+    after_s: NonNegative = 0.0
+
+
+class Degraded(Table):
+    """A stretch of poor geometry: errors are multiplied."""
+
+    start_s: float
+    end_s: float
+    factor: Positive
+    reported: bool = True
+    """Whether the receiver's stated accuracy follows."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Degraded:
+        if self.end_s <= self.start_s:
+            raise ValueError(f"end_s ({self.end_s:g}) must be after start_s ({self.start_s:g})")
+        return self
+
+
+class GnssConfig(SensorTable):
+    """``[sensors.gnss]``"""
+
+    kind: ClassVar[str] = "gnss"
+    rate_hz: Positive | None = None
+    time_offset_s: NonNegative = 0.0
+    """Shift of all fixes against the start of the flight."""
+    lever_arm_m: Triple = (0.0, 0.0, 0.0)
+    """From the IMU to the antenna, in b."""
+    start_up_s: NonNegative = 0.0
+    """No fix before this time."""
+    outages: list[Window] = []
+    random_outages: RandomOutages | None = None
+    outliers: OutlierBursts | None = None
+    degraded: list[Degraded] = []
+
+    @model_validator(mode="after")
+    def _outages_ordered(self) -> GnssConfig:
+        previous = -1.0
+        for start, end in self.outages:
+            if end <= start:
+                raise ValueError(f"outages: [{start:g}, {end:g}] ends before it starts")
+            if start < previous:
+                raise ValueError(f"outages: [{start:g}, {end:g}] must come after the one before it, which ends at {previous:g} s")
+            previous = end
+        if self.outages and self.random_outages is not None:
+            raise ValueError("give outages or random_outages, not both")
+        return self
+
+    def spec(self) -> GnssSpec:
+        """The specification."""
+        return replace(self._figures(), lever_arm_b=self.lever_arm_m)
+
+
+class Disturbance(Table):
+    """A stretch of magnetic disturbance."""
+
+    start_s: float
+    end_s: float
+    field_ut: Triple = (0.0, 0.0, 0.0)
+    """Constant, in b."""
+    noise_ut: NonNegative = 0.0
+
+
+class MagConfig(SensorTable):
+    """``[sensors.mag]``"""
+
+    kind: ClassVar[str] = "mag"
+    rate_hz: Positive | None = None
+    year: Annotated[float, Field(ge=2010.0, lt=2030.0)] = 2025.0
+    """Decimal year of the geomagnetic model."""
+    disturbances: list[Disturbance] = []
+
+    def spec(self) -> MagSpec:
+        """The specification, without the local field."""
+        return self._figures()
+
+
+class BaroConfig(SensorTable):
+    """``[sensors.baro]``"""
+
+    kind: ClassVar[str] = "baro"
+    rate_hz: Positive | None = None
+
+    def spec(self) -> BaroSpec:
+        """The specification."""
+        return self._figures()
+
+
+class SensorsConfig(Table):
+    """``[sensors]``"""
+
+    imu: ImuConfig = ImuConfig()
+    gnss: GnssConfig | None = None
+    mag: MagConfig | None = None
+    baro: BaroConfig | None = None
+
+
+class InitialConfig(Table):
+    """``[initial]``: how well a filter knows its start, 1 sigma per axis; the mean is drawn around truth."""
+
+    perfect: bool = False
+    """Start at the truth, with the true biases."""
+    position_m: NonNegative = 5.0
+    velocity_mps: NonNegative = 0.1
+    roll_pitch_deg: NonNegative = 1.0
+    yaw_deg: NonNegative = 2.0
+    gyro_bias_dps: NonNegative | None = None
+    """What a calibration before the flight left of the bias. None: nothing is known of it but the specification."""
+    accel_bias_mg: NonNegative | None = None

@@ -1,0 +1,174 @@
+"""The GNSS receiver: position and velocity of the antenna in n, with noise, latency, outages and wrong fixes.
+
+Errors: white plus first-order Gauss-Markov (Groves, 2nd ed., section 9.4), in metres north, east, down and m/s. Times in
+s from the start of the flight; a fix may fall anywhere between the samples of the trajectory.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from testbed.earth import earth_rate_n, metres_per_radian
+from testbed.errors import InputError
+from testbed.records import Array, GnssFixes, Trajectory
+from testbed.rotations import quats_to_matrices
+from testbed.sensors import kernels
+from testbed.sensors.config import GnssConfig, OutlierBursts, RandomOutages
+from testbed.sensors.draws import Draws
+from testbed.specs import GnssSpec, Vector
+
+Windows = tuple[tuple[float, float], ...]
+_SNAP_S = 1e-9
+
+
+def sense_gnss(
+    config: GnssConfig, trajectory: Trajectory, draws: Draws, imu_lever_arm_b: Vector
+) -> tuple[GnssFixes, dict[str, Any]]:
+    """The fixes, and what was drawn. Every fix draws its errors whether it is lost or not."""
+    spec = config.spec()
+    outages = outage_windows(config, trajectory, draws)
+    moments = fix_moments(spec, config.time_offset_s, trajectory)
+    stamps = moments + spec.latency_s
+    factor, reported = _dilution(config, trajectory, stamps)
+    lat, lon, h, v_n = antenna_state(trajectory, moments, np.array(imu_lever_arm_b) + np.array(spec.lever_arm_b))
+    errors = factor[:, None] * _errors(spec, len(moments), draws)
+    constants: dict[str, Any] = {}
+    if config.outliers is not None:
+        bursts = _bursts(config.outliers, trajectory, draws)
+        constants["gnss_outlier_bursts"] = bursts
+        errors += _burst_errors(config.outliers, bursts, stamps, draws)
+    north, east = metres_per_radian(lat, h)
+    seen = (stamps >= trajectory.t[0] + config.start_up_s) & ~_inside(outages, stamps)
+    fixes = GnssFixes(
+        stamps[seen],
+        (lat + errors[:, 0] / north)[seen],
+        (lon + errors[:, 1] / east)[seen],
+        (h - errors[:, 2])[seen],
+        (v_n + errors[:, 3:])[seen],
+        spec,
+        outages,
+    )
+    if config.degraded:
+        fixes = GnssFixes(**{**vars(fixes), "std": fixes.measurement_std() * reported[seen, None]})
+    return fixes, constants
+
+
+def fix_moments(spec: GnssSpec, offset_s: float, trajectory: Trajectory) -> Array:
+    """The moments that the fixes describe; those within a nanosecond of a sample of the trajectory fall on it exactly.
+
+    Without an offset the first is one interval after the start. The last is stamped before the end.
+    """
+    start, end = trajectory.t[0] + offset_s, trajectory.t[-1] - spec.latency_s
+    moments = start + np.arange(0 if offset_s else 1, math.floor((end - start) * spec.rate_hz + 1e-6) + 1) / spec.rate_hz
+    k = np.clip(np.searchsorted(trajectory.t, moments - _SNAP_S), 0, len(trajectory.t) - 1)
+    return np.where(np.abs(trajectory.t[k] - moments) <= _SNAP_S, trajectory.t[k], moments)
+
+
+def antenna_state(trajectory: Trajectory, t: Array, arm_b: Array) -> tuple[Array, Array, Array, Array]:
+    """True lat, lon (rad), h (m), v_n (n,3) of a point at ``arm_b`` (m, in b) from the reference point, at times ``t``.
+
+    Groves eq. 2.165 and 2.166: r + C_nb l and v + C_nb (w_eb_b × l).
+    """
+    from testbed.interpolate import state_at
+
+    lat, lon, h, v_n, q_nb = state_at(trajectory, t)
+    if not arm_b.any() or not len(t):
+        return lat, lon, h, v_n
+    matrices = quats_to_matrices(q_nb)
+    arm_n = matrices @ arm_b
+    w_ib_b = np.stack([np.interp(t, *_rate_curve(trajectory, axis)) for axis in range(3)], axis=1)
+    w_ie_n = np.stack(np.broadcast_arrays(*earth_rate_n(lat)), axis=1)
+    w_eb_n = np.einsum("kij,kj->ki", matrices, w_ib_b) - w_ie_n
+    north, east = metres_per_radian(lat, h)
+    return lat + arm_n[:, 0] / north, lon + arm_n[:, 1] / east, h - arm_n[:, 2], v_n + np.cross(w_eb_n, arm_n)
+
+
+def _rate_curve(trajectory: Trajectory, axis: int) -> tuple[Array, Array]:
+    """An interval's mean rate belongs to its middle."""
+    return trajectory.t[1:] - 0.5 * np.diff(trajectory.t), trajectory.w_ib_b[1:, axis]
+
+
+def outage_windows(config: GnssConfig, trajectory: Trajectory, draws: Draws) -> Windows:
+    """The outages as (start, end), in order. Raises InputError for one outside of the flight."""
+    start, end = trajectory.t[0], trajectory.t[-1]
+    if config.random_outages is not None:
+        return _random_windows(config.random_outages, start, end, draws)
+    for a, b in config.outages:
+        if a < start or b > end:
+            raise InputError(
+                f"[sensors.gnss] outages: [{a:g}, {b:g}] lies outside of the flight, which lasts from {start:g} to {end:g} s"
+            )
+    return tuple((a, b) for a, b in config.outages)
+
+
+def _random_windows(wanted: RandomOutages, start: float, end: float, draws: Draws) -> Windows:
+    """Uniform over all placements that keep the gaps."""
+    first, period = start + wanted.after_s, wanted.duration_s + wanted.gap_s
+    free = end - first - wanted.count * period
+    if free < 0.0:
+        raise InputError(
+            f"[sensors.gnss.random_outages] {wanted.count} outages of {wanted.duration_s:g} s with gaps of {wanted.gap_s:g} s"
+            f" after {wanted.after_s:g} s need {end - start - free:g} s, but the flight lasts {end - start:g} s"
+        )
+    places = np.sort(draws.outages("gnss.outages").uniform(0.0, free, wanted.count))
+    return tuple((float(first + p + i * period), float(first + p + i * period + wanted.duration_s)) for i, p in enumerate(places))
+
+
+def _inside(windows: Windows, t: Array) -> Array:
+    inside = np.zeros(len(t), dtype=bool)
+    for start, end in windows:
+        inside |= (t >= start) & (t < end)
+    return inside
+
+
+def _errors(spec: GnssSpec, n: int, draws: Draws) -> Array:
+    """(n,6) errors: m north, east, down, then m/s."""
+    h, v = spec.horizontal_sigma, spec.vertical_sigma
+    s = spec.velocity_sigma
+    errors = np.array([h, h, v, s, s, s]) * draws.noise("gnss.white").standard_normal((n, 6))
+    if spec.horizontal_markov_sigma or spec.vertical_markov_sigma:
+        process = draws.noise("gnss.markov").standard_normal((n, 3))
+        decay = math.exp(-1.0 / (spec.rate_hz * spec.markov_time_s))
+        kernels.markov(process, decay, math.sqrt(1.0 - decay * decay))
+        errors[:, :3] += process * [spec.horizontal_markov_sigma, spec.horizontal_markov_sigma, spec.vertical_markov_sigma]
+    return errors
+
+
+def _dilution(config: GnssConfig, trajectory: Trajectory, t: Array) -> tuple[Array, Array]:
+    """Factor of the errors, and the part of it that the receiver states."""
+    factor, reported = np.ones(len(t)), np.ones(len(t))
+    for stretch in config.degraded:
+        if stretch.start_s < trajectory.t[0] or stretch.end_s > trajectory.t[-1]:
+            raise InputError(
+                f"[sensors.gnss] degraded: [{stretch.start_s:g}, {stretch.end_s:g}] lies outside of the flight,"
+                f" which lasts from {trajectory.t[0]:g} to {trajectory.t[-1]:g} s"
+            )
+        inside = (t >= stretch.start_s) & (t < stretch.end_s)
+        factor[inside] *= stretch.factor
+        reported[inside] *= stretch.factor if stretch.reported else 1.0
+    return factor, reported
+
+
+def _bursts(wanted: OutlierBursts, trajectory: Trajectory, draws: Draws) -> Windows:
+    first, last = trajectory.t[0] + wanted.after_s, trajectory.t[-1] - wanted.duration_s
+    if last < first:
+        raise InputError(
+            f"[sensors.gnss.outliers] no room for a burst of {wanted.duration_s:g} s after {wanted.after_s:g} s in this flight"
+        )
+    starts = np.sort(draws.outages("gnss.outliers").uniform(first, last, wanted.count))
+    return tuple((float(s), float(s + wanted.duration_s)) for s in starts)
+
+
+def _burst_errors(wanted: OutlierBursts, bursts: Windows, t: Array, draws: Draws) -> Array:
+    """Each burst is an offset in a random direction, the same for all its fixes."""
+    errors = np.zeros((len(t), 6))
+    directions = draws.noise("gnss.outliers.direction").standard_normal((len(bursts), 2, 3))
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    for burst, (position, velocity) in zip(bursts, directions, strict=True):
+        inside = _inside((burst,), t)
+        errors[inside, :3] += wanted.offset_m * position
+        errors[inside, 3:] += wanted.offset_mps * velocity
+    return errors

@@ -1,0 +1,195 @@
+"""Statistics over Monte Carlo runs: intervals, paired comparisons, consistency bounds, error envelopes.
+
+Bootstrap: Efron & Tibshirani, *An Introduction to the Bootstrap*, with the percentiles expanded for small samples as in
+Hesterberg, *What Teachers Should Know About the Bootstrap*, The American Statistician 69 (2015), 4.2. Chi-square bounds:
+Bar-Shalom, Li & Kirubarajan, 5.4.2. Rows are runs, columns are cells (estimator, window, metric); NaN is a missing run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.records import Array
+from testbed.streams import stream
+
+DRAWS = 2000
+"""Bootstrap resamples. One set of resampled runs serves all cells, so comparisons stay paired."""
+LEVEL = 0.95
+_BLOCK_BYTES = 4_000_000
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """How much lower ``a`` is than ``b``, in per cent of ``b``, with its interval and a Wilcoxon signed-rank p-value."""
+
+    percent: float
+    low: float
+    high: float
+    p_value: float
+    n: int
+
+
+def describe(values: Array, seed: int = 0) -> dict[str, Array]:
+    """(runs, cells) to ``n, mean, std, median, p05, p95, ci_low, ci_high`` per cell; the interval is of the mean."""
+    finite = np.isfinite(values)
+    n = finite.sum(axis=0)
+    clean = np.where(finite, values, np.nan)
+    out = {name: np.full(values.shape[1], np.nan) for name in ("mean", "std", "median", "p05", "p95", "ci_low", "ci_high")}
+    some = n > 0
+    if some.any():
+        part = clean[:, some]
+        out["mean"][some] = np.nanmean(part, axis=0)
+        out["p05"][some], out["median"][some], out["p95"][some] = _quantiles(part, (0.05, 0.5, 0.95))
+        several = n > 1
+        out["std"][several] = np.nanstd(clean[:, several], axis=0, ddof=1)
+        out["ci_low"][several], out["ci_high"][several] = mean_intervals(clean[:, several], seed)
+    return {"n": n} | out
+
+
+def mean_intervals(values: Array, seed: int = 0) -> tuple[Array, Array]:
+    """95 % bootstrap interval of each column's mean; every column has at least two finite values."""
+    return _expanded(bootstrap_means(values, seed), np.isfinite(values).sum(axis=0))
+
+
+def bootstrap_means(values: Array, seed: int = 0) -> Array:
+    """(DRAWS, cells) means of resampled runs: one draw of runs for all columns; NaN where a resample missed them all."""
+    runs, cells = values.shape
+    finite = np.isfinite(values)
+    filled, complete = np.where(finite, values, 0.0), bool(finite.all())
+    weights = finite.astype(np.float64)
+    rng = stream(seed, 0, "bootstrap")
+    out = np.empty((DRAWS, cells))
+    block = max(1, min(DRAWS, _BLOCK_BYTES // (8 * runs)))
+    for start in range(0, DRAWS, block):
+        size = min(block, DRAWS - start)
+        drawn = rng.integers(0, runs, (size, runs)) + runs * np.arange(size)[:, None]
+        counts = np.bincount(drawn.ravel(), minlength=size * runs).reshape(size, runs).astype(np.float64)
+        with np.errstate(invalid="ignore"):
+            out[start : start + size] = counts @ filled / (runs if complete else counts @ weights)
+    return out
+
+
+def improvement(a: Array, b: Array, seed: int = 0) -> Improvement | None:
+    """Paired improvement ``100 (1 - mean a / mean b)`` over the runs that both have; None where there is none.
+
+    With a single run the interval is NaN.
+    """
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = a[both], b[both]
+    n = len(a)
+    if n == 0 or b.mean() == 0.0:
+        return None
+    percent = float(100.0 * (1.0 - a.mean() / b.mean()))
+    if n < 2:
+        return Improvement(percent, np.nan, np.nan, np.nan, n)
+    means = bootstrap_means(np.column_stack([a, b]), seed)
+    low, high = _expanded(100.0 * (1.0 - means[:, :1] / means[:, 1:]), np.array([n]))
+    return Improvement(percent, float(low[0]), float(high[0]), signed_rank(a, b), n)
+
+
+def signed_rank(a: Array, b: Array) -> float:
+    """Two-sided Wilcoxon signed-rank p-value of paired samples; 1 where they are equal."""
+    from scipy.stats import wilcoxon
+
+    difference = a - b
+    return 1.0 if not difference.any() else float(wilcoxon(difference).pvalue)
+
+
+def difference_interval(a: Array, b: Array, paired: bool, seed: int = 0) -> tuple[float, float]:
+    """95 % bootstrap interval of ``mean a - mean b``: of the paired differences, or of independent samples."""
+    if paired:
+        low, high = mean_intervals((a - b)[:, None], seed)
+    else:
+        spread = bootstrap_means(a[:, None], seed) - bootstrap_means(b[:, None], seed + 1)
+        low, high = _expanded(spread, np.array([min(len(a), len(b))]))
+    return float(low[0]), float(high[0])
+
+
+def chi_square_bounds(dof: Array) -> tuple[Array, Array]:
+    """Two-sided 95 % bounds of a chi-square variable with ``dof`` degrees of freedom (array)."""
+    from scipy.stats import chi2
+
+    tail = (1.0 - LEVEL) / 2.0
+    return chi2.ppf(tail, dof), chi2.ppf(1.0 - tail, dof)
+
+
+@dataclass
+class ConsistencySum:
+    """NEES or NIS summed over runs at each time of a grid: ``value`` (T,) and its degrees of freedom ``dof`` (T,)."""
+
+    value: Array
+    dof: Array
+    runs: int = 0
+
+    def add(self, value: Array, dof: Array) -> None:
+        """Add a run; times where it has no finite value stay out."""
+        used = np.isfinite(value) & (dof > 0)
+        self.value[used] += value[used]
+        self.dof[used] += dof[used]
+        self.runs += 1
+
+    def summary(self, times: Array, settled_s: float, dof: float) -> dict[str, float]:
+        """Mean, bounds and share of time inside them of the run-averaged statistic after ``settled_s``.
+
+        ``dof`` is that of one sample of one run. Where the grid pools several samples (NIS) so do the bounds.
+        """
+        used = (self.dof > 0) & (times > settled_s)
+        if not used.any():
+            return {"dof": dof, "n_runs": self.runs, "mean": np.nan, "lower": np.nan, "upper": np.nan, "share_inside": np.nan}
+        value, total = self.value[used], self.dof[used]
+        lower, upper = chi_square_bounds(total)
+        inside = (value >= lower) & (value <= upper)
+        return {
+            "dof": dof,
+            "n_runs": self.runs,
+            "mean": float(value.sum() / total.sum() * dof),
+            "lower": float(np.median(lower / total) * dof),
+            "upper": float(np.median(upper / total) * dof),
+            "share_inside": float(inside.mean()),
+        }
+
+
+def envelope(errors: Array, sigmas: Array | None = None) -> dict[str, Array]:
+    """(runs, times) errors, and the filters' own 1-sigma, to ``mean, p05, p95, rms, sigma`` per time."""
+    some = np.isfinite(errors).any(axis=0)
+    out = {name: np.full(errors.shape[1], np.nan) for name in ("mean", "p05", "p95", "rms", "sigma")}
+    part = errors[:, some].astype(np.float64)
+    if part.shape[1]:
+        out["mean"][some] = np.nanmean(part, axis=0)
+        out["rms"][some] = np.sqrt(np.nanmean(part**2, axis=0))
+        out["p05"][some], out["p95"][some] = _quantiles(part, (0.05, 0.95))
+    if sigmas is not None:
+        told = np.isfinite(sigmas).any(axis=0)
+        out["sigma"][told] = np.sqrt(np.nanmean(sigmas[:, told].astype(np.float64) ** 2, axis=0))
+    return out
+
+
+def _quantiles(values: Array, levels: tuple[float, ...]) -> Array:
+    """np.nanquantile along axis 0, which is slow, unless nothing is missing."""
+    if np.isfinite(values).all():
+        return np.quantile(values, levels, axis=0)
+    ordered = np.sort(values, axis=0)  # NaN last
+    n = np.isfinite(values).sum(axis=0)
+    return np.stack([_interpolated(ordered, level * (n - 1)) for level in levels])
+
+
+def _expanded(means: Array, n: Array) -> tuple[Array, Array]:
+    """Percentiles of bootstrap means (draws, cells), expanded so that the interval has Student's width for ``n`` runs."""
+    from scipy.special import ndtr, stdtrit
+
+    ordered = np.sort(means, axis=0)
+    drawn = np.isfinite(ordered).sum(axis=0)
+    tail = ndtr(-np.sqrt(n / (n - 1.0)) * stdtrit(n - 1.0, 0.5 + LEVEL / 2.0))
+    return _interpolated(ordered, tail * (drawn - 1)), _interpolated(ordered, (1.0 - tail) * (drawn - 1))
+
+
+def _interpolated(ordered: Array, position: Array) -> Array:
+    """Value at a fractional row of each column."""
+    low = np.clip(np.floor(position).astype(int), 0, len(ordered) - 1)
+    high = np.minimum(low + 1, len(ordered) - 1)
+    part = position - low
+    columns = np.arange(ordered.shape[1])
+    below, above = ordered[low, columns], ordered[high, columns]
+    return np.where(part > 0, below + part * (above - below), below)

@@ -1,0 +1,102 @@
+"""Sweeps: one Monte Carlo for each point of a grid of scenario settings, in one table and one plot.
+
+Each point is a result folder of its own, so a sweep resumes as its points do. ``sweep.csv`` holds the rows of every
+``summary.csv`` behind the settings of the point (units as the settings' keys and the metric names say).
+"""
+
+from __future__ import annotations
+
+import itertools
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from testbed.errors import InputError
+from testbed.runner import run
+from testbed.scenario import Scenario
+from testbed.store import read_manifest
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+PLOT_METRIC = "rmse_position_3d_m"
+
+
+def parse_sweep(text: str) -> tuple[str, list[Any]]:
+    """``KEY=V1,V2,...`` of ``--sweep``, values in TOML; a bare word counts as a string."""
+    key, separator, values = text.partition("=")
+    if not separator or not key.strip() or not values.strip():
+        raise InputError(f"--sweep {text}: expected KEY=V1,V2,..., for example sensors.imu.rate_hz=50,100,200")
+    try:
+        parsed = tomllib.loads(f"value = [{values}]")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = [value.strip() for value in values.split(",")]
+    return key.strip(), parsed
+
+
+def sweep(
+    load: Callable[[Mapping[str, Any]], Scenario],
+    grid: Mapping[str, Sequence[Any]],
+    out: str | Path,
+    resume: bool = False,
+    metric: str = PLOT_METRIC,
+    announce: Callable[[str], None] | None = None,
+    **options: Any,
+) -> pd.DataFrame:
+    """Run every combination of ``grid`` (dotted scenario key -> values) and write ``sweep.csv`` and ``sweep.png``.
+
+    ``load`` makes the scenario of a point from its overrides, for example ``lambda o: load_scenario(name, overrides=o)``.
+    ``options`` go to `testbed.runner.run`; ``announce`` is told each point. All scenarios are checked before any is run.
+    """
+    import pandas as pd
+
+    out, keys = Path(out), list(grid)
+    if not keys or not all(grid.values()):
+        raise InputError("a sweep needs at least one key with at least one value")
+    points = [dict(zip(keys, values, strict=True)) for values in itertools.product(*grid.values())]
+    scenarios = [load(point) for point in points]
+    frames = []
+    for number, (point, scenario) in enumerate(zip(points, scenarios, strict=True), 1):
+        if announce is not None:
+            announce(f"point {number} of {len(points)}: " + ", ".join(f"{k} = {v}" for k, v in point.items()))
+        folder = out / f"point_{number:03d}"
+        known = resume and read_manifest(folder) is not None
+        summary = run(scenario, folder, resume=known, **options).summary
+        settings = {key: [_cell(value)] * len(summary) for key, value in point.items()}
+        frames.append(pd.concat([pd.DataFrame(settings), summary], axis=1))
+    table = pd.concat(frames, ignore_index=True)
+    table.to_csv(out / "sweep.csv", index=False, float_format="%.10g", lineterminator="\n")
+    plot(table, keys, out / "sweep.png", metric)
+    return table
+
+
+def _cell(value: Any) -> Any:
+    """A setting as a table shows it."""
+    return value if isinstance(value, int | float | str | bool) else str(value).replace(" ", "")
+
+
+def plot(table: pd.DataFrame, keys: Sequence[str], path: Path, metric: str = PLOT_METRIC, window: str = "all") -> None:
+    """Mean and 95 % interval of a metric over the first key, a line per estimator, a panel per value of the other keys."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    first, others = keys[0], list(keys[1:])
+    rows = table[(table["metric"] == metric) & (table["window"] == window)]
+    panels: list[tuple[Any, Any]] = list(rows.groupby(others, sort=False)) if others else [((), rows)]
+    figure = Figure(figsize=(1.0 + 4.2 * max(1, len(panels)), 3.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, max(1, len(panels)), sharey=True, squeeze=False)[0]
+    for axis, (values, part) in zip(axes, panels, strict=False):
+        for estimator, line in part.groupby("estimator", sort=False):
+            numeric = [isinstance(v, int | float) for v in line[first]]
+            x = line[first].to_numpy(dtype=float) if all(numeric) else line[first].astype(str).to_numpy()
+            spread = [line["mean"] - line["ci_low"], line["ci_high"] - line["mean"]]
+            axis.errorbar(x, line["mean"], yerr=[s.clip(lower=0).fillna(0) for s in spread], marker="o", capsize=3, label=estimator)
+        axis.set_xlabel(first)
+        axis.set_title(", ".join(f"{k} = {v}" for k, v in zip(others, values, strict=False)), fontsize=9)
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel(f"{metric} ({window}), mean and 95 % interval")
+    if len(rows):
+        axes[0].legend(fontsize=8)
+    figure.savefig(path, dpi=150)
