@@ -146,13 +146,13 @@ class DirectProblem:
         per_lat, per_lon = earth.metres_per_radian(first.lat, first.h)
         euler = quat_to_euler(np.asarray(first.q_nb, float))
         x = np.concatenate([np.zeros(3), first.v_n, euler, first.accel_bias, first.gyro_bias]).astype(float)
-        density, decay, covariance = noise_model(log)
+        model = noise_model(log)
         to_euler = np.eye(15)
         to_euler[6:9, 6:9] = np.linalg.inv(np.array(euler_error_matrix(*euler)))
         setting = Setting(
             np.array([first.lat, first.h, per_lat, per_lon]),
-            x[9:15].copy(),
-            decay,
+            model.bias_mean,
+            model.decay,
             np.array(gnss.spec.lever_arm_b, dtype=float),
         )
         fix_t = gnss.t - gnss.spec.latency_s
@@ -173,8 +173,8 @@ class DirectProblem:
             np.column_stack([*position, gnss.v_n])[fixes],
             std[fixes] ** 2,
             x,
-            to_euler @ covariance @ to_euler.T,
-            np.append(density * np.repeat(noise_scales, 3) ** 2, 0.0),
+            to_euler @ model.covariance @ to_euler.T,
+            np.append(model.q * np.repeat(noise_scales, 3) ** 2, 0.0),
             setting,
             (first.lat, first.lon, first.h),
             every,
@@ -203,7 +203,7 @@ class DirectProblem:
             eulers_to_quats(states[:, 6:9]),
             accel_bias=states[:, 9:12],
             gyro_bias=states[:, 12:15],
-            std=np.sqrt(variances) * stretch,
+            std=np.sqrt(np.where(variances >= 0.0, variances, np.nan)) * stretch,
             covariance_t=self.t[rows],
             covariance=_to_rotation_vector(snapshots, states[rows], stretch[rows]),
             innovations=Innovations(

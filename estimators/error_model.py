@@ -105,9 +105,7 @@ def apply_transition(source, target, c, m, force, v_n, keep_accel, keep_gyro, dt
 def propagate(p, work, c, m, force, v_n, keep_accel, keep_gyro, q, dt):
     """P = Phi P Phi' + Q in place, ``work`` (15,15) scratch. ``q`` (12,): spectral densities, see `add_noise`."""
     apply_transition(p, work, c, m, force, v_n, keep_accel, keep_gyro, dt)
-    for i in range(N_STATES):
-        for j in range(i):
-            work[i, j], work[j, i] = work[j, i], work[i, j]
+    transpose(work)
     apply_transition(work, p, c, m, force, v_n, keep_accel, keep_gyro, dt)
     add_noise(p, m, q, dt)
     symmetrize(p)
@@ -133,6 +131,14 @@ def add_noise(p, m, q, dt):
             p[6 + i, 6 + j] += gyro
     for i in range(6):
         p[9 + i, 9 + i] += q[6 + i] * dt
+
+
+@njit(cache=True)
+def transpose(p):
+    """Transpose a (15,15) array in place."""
+    for i in range(1, N_STATES):
+        for j in range(i):
+            p[i, j], p[j, i] = p[j, i], p[i, j]
 
 
 @njit(cache=True)

@@ -7,13 +7,13 @@ fixes are taken at their own time, between two IMU samples if need be.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 
-from estimators.error_model import N_STATES, coefficients, propagate
+from estimators.error_model import N_STATES, coefficients, propagate, symmetrize, transpose
 from estimators.kalman import update
 from estimators.strapdown import advance, compensate, coning_sculling, increments
 from testbed import earth
-from testbed.rotations import cross, matrix_rotate, quat_multiply, quat_normalize, quat_rotate, quat_to_matrix, rotvec_to_quat
+from testbed.rotations import cross, matrix_rotate, quat_multiply, quat_normalize, quat_to_euler, quat_to_matrix, rotvec_to_quat, wrap
 
 MEASUREMENTS = 6
 """Position north, east, down (m) and velocity north, east, down (m/s) of the antenna."""
@@ -27,11 +27,11 @@ def filter_log(
     t,
     gyro,
     accel,
+    lever,
     fix_t,
     fix_lla,
     fix_v,
     fix_variance,
-    lever,
     start,
     covariance_start,
     q,
@@ -47,7 +47,6 @@ def filter_log(
     snapshots,
     innovation,
     innovation_covariance,
-    sensitivity_mode=7,
 ):
     """Filter a log. Arrays of N IMU means, M fixes; ``start`` (16,): lat, lon, h, v_n, q_nb, accel and gyro bias.
 
@@ -104,9 +103,8 @@ def filter_log(
             measure(lat, lon, h, v, m, gyro[k], b, lever, fix_lla[next_fix], fix_v[next_fix], residual, sensitivity)
             x[:] = 0.0
             update(x, p, residual, sensitivity, fix_variance[next_fix], innovation_covariance[next_fix], scratch)
-            before = v
             lat, lon, h, v, qn = correct(lat, lon, h, v, qn, b, x)
-            reset(p, (v[0] - before[0], v[1] - before[1], v[2] - before[2]), x, sensitivity_mode)
+            reset(p, (x[3], x[4], x[5]), x)
             m = quat_to_matrix(qn)
             next_fix += 1
         now = t[k]
@@ -180,27 +178,88 @@ def correct(lat, lon, h, v_n, q_nb, b, x):
     q = quat_normalize(quat_multiply(rotvec_to_quat((x[6], x[7], x[8])), q_nb))
     for i in range(6):
         b[i] += x[9 + i]
-    turn = (x[6], x[7], x[8])
-    swing = cross(turn, v_n)
-    direct = (v_n[0] + x[3] - swing[0], v_n[1] + x[4] - swing[1], v_n[2] + x[5] - swing[2])
-    v = quat_rotate(rotvec_to_quat(turn), direct)
+    v = (v_n[0] + x[3], v_n[1] + x[4], v_n[2] + x[5])
     return lat + x[0] / per_north, lon + x[1] / per_east, h - x[2], v, q
 
 
 @njit(cache=True)
-def reset(p, dv, x, mode):
-    a = (0.5 * x[6], 0.5 * x[7], 0.5 * x[8])
-    for pas in range(2):
+def reset(p, change_v, x):
+    """Carry P (in place) from errors about the old estimate to errors about the new one, after `correct` with ``x``.
+
+    Attitude: (I + [x_phi x]/2) phi (Sola, eq. 287 for an error in n). Velocity: the error that is Gaussian is that of the
+    velocity turned back by the attitude error, dv - phi x v (Barrau and Bonnabel, IEEE TAC 2017), so dv gains
+    phi x ``change_v``. Both matter only while an alignment error of many degrees shrinks.
+    """
+    a, b, c = 0.5 * x[6], 0.5 * x[7], 0.5 * x[8]
+    for _ in range(2):
         for j in range(N_STATES):
-            f0, f1, f2 = p[6, j], p[7, j], p[8, j]
-            if mode & 1:
-                p[3, j] += f1 * dv[2] - f2 * dv[1]
-                p[4, j] += f2 * dv[0] - f0 * dv[2]
-                p[5, j] += f0 * dv[1] - f1 * dv[0]
-            if mode & 2:
-                p[6, j] += a[1] * f2 - a[2] * f1
-                p[7, j] += a[2] * f0 - a[0] * f2
-                p[8, j] += a[0] * f1 - a[1] * f0
-        for i in range(N_STATES):
-            for j in range(i):
-                p[i, j], p[j, i] = p[j, i], p[i, j]
+            north, east, down = p[6, j], p[7, j], p[8, j]
+            p[3, j] += east * change_v[2] - down * change_v[1]
+            p[4, j] += down * change_v[0] - north * change_v[2]
+            p[5, j] += north * change_v[1] - east * change_v[0]
+            p[6, j] += b * down - c * east
+            p[7, j] += c * north - a * down
+            p[8, j] += a * east - b * north
+        transpose(p)
+    symmetrize(p)
+
+
+@njit(cache=True, parallel=True)
+def filter_candidates(
+    t_start, t, gyro, accel, lever, fix_t, fix_lla, fix_v, start, covariance_start, decay, bias_mean, q, r, stride, truth, rmse
+):
+    """Filter one log with many noise assumptions: ``q`` (C,12), ``r`` (C,6) variances; arguments as `filter_log`.
+
+    ``truth`` (K,9): lat, lon, h, v_n, roll, pitch, yaw at every ``stride``-th IMU time. ``rmse`` (C,9) is written.
+    """
+    rows, fixes = truth.shape[0], fix_t.shape[0]
+    for c in prange(q.shape[0]):
+        lla, velocity, quaternion = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 4))
+        bias, std, snapshots = np.empty((rows, 6)), np.empty((rows, N_STATES)), np.empty((0, N_STATES, N_STATES))
+        innovation, innovation_covariance = np.empty((fixes, 6)), np.empty((fixes, 6, 6))
+        variance = np.empty((fixes, 6))
+        variance[:] = r[c]
+        filter_log(
+            t_start,
+            t,
+            gyro,
+            accel,
+            lever,
+            fix_t,
+            fix_lla,
+            fix_v,
+            variance,
+            start,
+            covariance_start,
+            q[c],
+            decay,
+            bias_mean,
+            stride,
+            lla,
+            velocity,
+            quaternion,
+            bias,
+            std,
+            t.shape[0] + 1,
+            snapshots,
+            innovation,
+            innovation_covariance,
+        )
+        rmse[c] = root_mean_square(lla, velocity, quaternion, truth)
+
+
+@njit(cache=True)
+def root_mean_square(lla, velocity, quaternion, truth):
+    """(9,) RMSE against ``truth`` (K,9) as in `filter_candidates`: m, m/s, rad."""
+    total = np.zeros(9)
+    for k in range(truth.shape[0]):
+        row = truth[k]
+        north, east, down = earth.position_difference(lla[k, 0], lla[k, 1], lla[k, 2], row[0], row[1], row[2])
+        euler = quat_to_euler(quaternion[k])
+        total[0] += north * north
+        total[1] += east * east
+        total[2] += down * down
+        for i in range(3):
+            total[3 + i] += (velocity[k, i] - row[3 + i]) ** 2
+            total[6 + i] += wrap(euler[i] - row[6 + i]) ** 2
+    return np.sqrt(total / truth.shape[0])

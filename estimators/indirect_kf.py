@@ -6,19 +6,28 @@ from the specification and the initial state that the log carries, R from the re
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from testbed.errors import InputError
-from testbed.records import GnssFixes, Innovations, NavSolution, SensorLog
+from testbed.records import GnssFixes, Innovations, NavSolution, SensorLog, Trajectory
+from testbed.rotations import quats_to_eulers
 from testbed.specs import TriadSpec
 
 Array = NDArray[np.float64]
 
 SNAPSHOT_INTERVAL_S = 1.0
+SCALES = (
+    "accel_noise_scale",
+    "gyro_noise_scale",
+    "accel_bias_scale",
+    "gyro_bias_scale",
+    "position_std_scale",
+    "velocity_std_scale",
+)
 MINIMUM_STD = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
 """R of an ideal receiver is zero, which no filter can use: 1 mm and 0.1 mm/s are the least (1 sigma)."""
 
@@ -27,7 +36,9 @@ MINIMUM_STD = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
 class IndirectKf:
     """Error-state filter with position and velocity fixes.
 
-    Scales multiply a standard deviation (or noise density) of the specification; 1 is the data sheet.
+    Scales multiply a standard deviation (or root spectral density) of the specification; 1 is the data sheet.
+    ``process_noise`` (12 root densities: accelerometer x y z, gyro x y z, accelerometer bias x y z, gyro bias x y z; SI)
+    and ``measurement_noise`` (6 standard deviations: m N E D, m/s N E D) replace it altogether; the scales still apply.
     """
 
     accel_noise_scale: float = 1.0
@@ -36,66 +47,37 @@ class IndirectKf:
     gyro_bias_scale: float = 1.0
     position_std_scale: float = 1.0
     velocity_std_scale: float = 1.0
+    process_noise: tuple[float, ...] | None = None
+    measurement_noise: tuple[float, ...] | None = None
 
     name: ClassVar[str] = "indirect-kf"
-    parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = {
-        "accel_noise_scale": (1e-3, 1e3, "log"),
-        "gyro_noise_scale": (1e-3, 1e3, "log"),
-        "accel_bias_scale": (1e-3, 1e3, "log"),
-        "gyro_bias_scale": (1e-3, 1e3, "log"),
-        "position_std_scale": (1e-3, 1e3, "log"),
-        "velocity_std_scale": (1e-3, 1e3, "log"),
-    }
+    parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = dict.fromkeys(SCALES, (1e-3, 1e3, "log"))
+    """What a tuner may search: name to (low, high, scale of the axis)."""
 
     def __post_init__(self) -> None:
-        for key in self.parameter_space:
+        for key in SCALES:
             value = getattr(self, key)
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"{self.name}: {key} = {value}, must be a positive number")
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < np.inf:
+                raise InputError(f"{self.name}: {key} = {value!r}, must be a positive number")
+        for key, length in (("process_noise", 12), ("measurement_noise", 6)):
+            values = getattr(self, key)
+            if values is not None and not (np.shape(values) == (length,) and np.isfinite(values).all() and min(values) >= 0.0):
+                raise InputError(f"{self.name}: {key} = {values!r}, must be {length} numbers, none negative")
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no GNSS."""
         from estimators.indirect_kernel import filter_log
 
-        gnss = require_gnss(log, self.name)
-        imu = log.imu
+        gnss, imu = require_gnss(log, self.name), log.imu
         n, m = len(imu.t), len(gnss.t)
         lla, v_n, q_nb = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 4))
         bias, std = np.empty((n, 6)), np.empty((n, 15))
-        stride = max(1, round(SNAPSHOT_INTERVAL_S * (n - 1) / (imu.t[-1] - imu.t[0])))
+        stride = min(n, max(1, round(SNAPSHOT_INTERVAL_S * (n - 1) / (imu.t[-1] - imu.t[0]))))
         snapshots = np.empty((n // stride, 15, 15))
         innovation, innovation_covariance = np.full((m, 6), np.nan), np.full((m, 6, 6), np.nan)
-        noise = noise_model(log)
-        q = noise.q * np.repeat([self.accel_noise_scale, self.gyro_noise_scale, self.accel_bias_scale, self.gyro_bias_scale], 3) ** 2
-        r_scale = np.repeat([self.position_std_scale, self.velocity_std_scale], 3)
-        variance = (np.maximum(gnss.measurement_std(), MINIMUM_STD) * r_scale) ** 2
-        filter_log(
-            log.initial.t,
-            imu.t,
-            imu.gyro,
-            imu.accel,
-            gnss.t - gnss.spec.latency_s,
-            np.column_stack([gnss.lat, gnss.lon, gnss.h]),
-            gnss.v_n,
-            variance,
-            np.array(gnss.spec.lever_arm_b, dtype=float),
-            start_vector(log),
-            noise.covariance,
-            q,
-            noise.decay,
-            noise.bias_mean,
-            1,
-            lla,
-            v_n,
-            q_nb,
-            bias,
-            std,
-            stride,
-            snapshots,
-            innovation,
-            innovation_covariance,
-            getattr(type(self), "MODE", 7),
-        )
+        outputs = (lla, v_n, q_nb, bias, std, stride, snapshots, innovation, innovation_covariance)
+        r = self.measurement_std(log) ** 2
+        filter_log(*recordings(log), r, *self.model(log), 1, *outputs)
         used = np.isfinite(innovation[:, 0])
         return NavSolution(
             imu.t,
@@ -109,6 +91,54 @@ class IndirectKf:
             covariance=snapshots,
             innovations=Innovations(gnss.t[used], innovation[used], innovation_covariance[used]),
         )
+
+    def process_std(self, log: SensorLog) -> Array:
+        """(12,) root spectral densities that the filter uses on this log."""
+        scales = [self.accel_noise_scale, self.gyro_noise_scale, self.accel_bias_scale, self.gyro_bias_scale]
+        base = np.sqrt(noise_model(log).q) if self.process_noise is None else np.array(self.process_noise, dtype=float)
+        return base * np.repeat(scales, 3)
+
+    def measurement_std(self, log: SensorLog) -> Array:
+        """(M,6) 1-sigma of each fix that the filter uses on this log."""
+        gnss = require_gnss(log, self.name)
+        scales = np.repeat([self.position_std_scale, self.velocity_std_scale], 3)
+        if self.measurement_noise is None:
+            return np.maximum(gnss.measurement_std(), MINIMUM_STD) * scales
+        return np.tile(np.maximum(self.measurement_noise, MINIMUM_STD) * scales, (len(gnss.t), 1))
+
+    def model(self, log: SensorLog) -> tuple[Array, Array, Array, Array, Array]:
+        """Start vector, P0, Q, bias decay and bias mean: the model arguments of the compiled loop, in its order."""
+        noise = noise_model(log)
+        return start_vector(log), noise.covariance, self.process_std(log) ** 2, noise.decay, noise.bias_mean
+
+
+def recordings(log: SensorLog) -> tuple[float, Array, Array, Array, Array, Array, Array, Array]:
+    """The recordings as the compiled loop takes them: start, IMU time, gyro, accel, lever arm, fix time, place, velocity."""
+    gnss = require_gnss(log, "indirect-kf")
+    place = np.column_stack([gnss.lat, gnss.lon, gnss.h])
+    lever = np.array(gnss.spec.lever_arm_b, dtype=float)
+    return log.initial.t, log.imu.t, log.imu.gyro, log.imu.accel, lever, gnss.t - gnss.spec.latency_s, place, gnss.v_n
+
+
+def search_errors(log: SensorLog, reference: Trajectory, process_noise: Array, measurement_noise: Array, stride: int = 10) -> Array:
+    """RMSE of many filters on one log, in parallel: for tuners.
+
+    Candidate c has the root densities ``process_noise[c]`` (C,12) and standard deviations ``measurement_noise[c]`` (C,6),
+    as the parameters of `IndirectKf`. ``reference`` must hold the IMU times. Every ``stride``-th sample counts.
+    Returns (C,9): m N, E, D; m/s N, E, D; rad roll, pitch, yaw; not finite where a filter diverged.
+    """
+    from estimators.indirect_kernel import filter_candidates
+
+    rows = np.searchsorted(reference.t, log.imu.t[stride - 1 :: stride] - 1e-7)
+    if len(rows) == 0 or rows[-1] >= len(reference.t) or np.abs(reference.t[rows] - log.imu.t[stride - 1 :: stride]).max() > 1e-6:
+        raise InputError(f"the reference '{reference.name}' has no row at each IMU time of '{log.name}'")
+    truth = np.column_stack([reference.lat, reference.lon, reference.h, reference.v_n, quats_to_eulers(reference.q_nb)])[rows]
+    q = np.ascontiguousarray(process_noise, dtype=float) ** 2
+    r = np.maximum(np.ascontiguousarray(measurement_noise, dtype=float), MINIMUM_STD) ** 2
+    start, covariance, _, decay, mean = IndirectKf().model(log)
+    out = np.empty((len(q), 9))
+    filter_candidates(*recordings(log), start, covariance, decay, mean, q, r, stride, truth, out)
+    return out
 
 
 def require_gnss(log: SensorLog, name: str) -> GnssFixes:
@@ -165,8 +195,3 @@ def triad_noise(spec: TriadSpec, bias_std: Array, dt: float) -> tuple[float, flo
     decay = drive / (2.0 * final) if final > 0.0 else 0.0
     white = spec.white_noise**2 + spec.resolution**2 / 12.0 * dt
     return white, drive + spec.rate_random_walk**2, decay, share
-
-
-def with_scales(estimator: IndirectKf, **scales: float) -> IndirectKf:
-    """A copy with other scales."""
-    return replace(estimator, **scales)

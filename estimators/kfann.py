@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from estimators.lkf9 import Array, FreeIns, Lkf9, Measurements, fixes_of, free_ins, gnss_measurements, run_filter
+from estimators.lkf9 import Array, FreeIns, Measurements, OpenLoop, fixes_of, free_ins, gnss_measurements, run_filter
 from estimators.networks.levenberg_marquardt import Training
 from estimators.networks.regressors import REGRESSORS, fit_regressor
 from testbed.errors import InputError, nearest
@@ -31,7 +31,7 @@ _INPUTS: dict[str, dict[str, tuple[tuple[int, ...], bool]]] = {
 
 
 @dataclass(frozen=True)
-class Learner(Lkf9):
+class Learner(OpenLoop):
     """Parameters that `ann` and `kfann` share, beside those of `lkf9`."""
 
     inputs: Literal["nn1", "nn2", "nn3"] = "nn3"
@@ -65,7 +65,7 @@ class Ann(Learner):
     With GNSS, and for velocity and attitude throughout, the answer is that of `lkf9`.
     """
 
-    name: str = "ann"
+    name: ClassVar[str] = "ann"
 
     def run(self, log: SensorLog) -> NavSolution:
         """Train at each outage on all fixes before it; the position in the outage is INS minus network."""
@@ -90,11 +90,11 @@ class Ann(Learner):
 class Kfann(Learner):
     """Through an outage the networks' output is the filter's measurement, at the epochs that the receiver would have had."""
 
-    name: str = "kfann"
     velocity: bool = False
     """Also learn the velocity errors and feed them (an extension: the paper feeds position only)."""
     pseudo_noise: Literal["gnss", "residual"] = "gnss"
     """Standard deviation of the pseudo-measurements: the receiver's, or the RMS of the networks' training residuals."""
+    name: ClassVar[str] = "kfann"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -6,8 +6,8 @@ Titterton & Weston, 2nd ed., chapter 12. NED, SI units and radians; errors are I
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,10 +50,9 @@ class Measurements:
 
 
 @dataclass(frozen=True)
-class Lkf9:
-    """Open-loop 9-state filter. It knows no biases: what the sensors' biases do looks like attitude noise to it."""
+class OpenLoop:
+    """Parameters of the open-loop 9-state filter, which knows no biases: what they do looks like attitude noise to it."""
 
-    name: str = "lkf9"
     process_noise: Literal["printed", "density"] = "printed"
     """``printed``: Qk = Phi G Q G' Phi' dt with the sample variances in Q, as the paper has it, which exceeds white noise
     of that size by the IMU rate. ``density``: Q holds the spectral densities of the data sheet."""
@@ -62,23 +61,29 @@ class Lkf9:
     accel_noise_scale: float = 1.0
     """Factor on the accelerometers' standard deviation in Q."""
     earth_radius_m: float = earth.A
+    name: ClassVar[str] = "lkf9"
 
     def __post_init__(self) -> None:
-        check_filter(self)
+        if self.process_noise not in ("printed", "density"):
+            raise InputError(f"{self.name}: process_noise is '{self.process_noise}', expected 'printed' or 'density'")
+        for key in ("gyro_noise_scale", "accel_noise_scale", "earth_radius_m"):
+            if not 0.0 < getattr(self, key) < np.inf:
+                raise InputError(f"{self.name}: {key} is {getattr(self, key)}, expected a positive number")
+
+
+@dataclass(frozen=True)
+class Lkf9(OpenLoop):
+    """The filter alone."""
+
+    restart: bool = False
+    """In an outage: False propagates the error estimate; True starts the INS anew at the last corrected state and lets it
+    run free (the paper's *Update INS*). ``std`` is the filter's either way."""
 
     def run(self, log: SensorLog) -> NavSolution:
-        """Corrected navigation at the IMU times; without fixes the error estimate is only propagated."""
+        """Corrected navigation at the IMU times."""
         ins = free_ins(log)
-        return run_filter(self, log, ins, gnss_measurements(ins, fixes_of(log, self.name)))
-
-
-def check_filter(settings: Lkf9) -> None:
-    """Raise InputError for a parameter out of range."""
-    if settings.process_noise not in ("printed", "density"):
-        raise InputError(f"{settings.name}: process_noise is '{settings.process_noise}', expected 'printed' or 'density'")
-    for key in ("gyro_noise_scale", "accel_noise_scale", "earth_radius_m"):
-        if not 0.0 < getattr(settings, key) < np.inf:
-            raise InputError(f"{settings.name}: {key} is {getattr(settings, key)}, expected a positive number")
+        solution = run_filter(self, log, ins, gnss_measurements(ins, fixes_of(log, self.name)))
+        return _restarted(log, solution, self.name) if self.restart else solution
 
 
 def fixes_of(log: SensorLog, name: str) -> GnssFixes:
@@ -113,7 +118,7 @@ def gnss_measurements(ins: FreeIns, gnss: GnssFixes) -> Measurements:
     return Measurements(t[inside], value, std, np.zeros(int(inside.sum()), dtype=np.int64))
 
 
-def run_filter(settings: Lkf9, log: SensorLog, ins: FreeIns, fed: Measurements) -> NavSolution:
+def run_filter(settings: OpenLoop, log: SensorLog, ins: FreeIns, fed: Measurements) -> NavSolution:
     """Run the kernel and subtract its estimates from the INS. Innovations are those of the complete fixes only."""
     from estimators import lkf9_kernels
 
@@ -165,6 +170,23 @@ def corrected(ins: FreeIns, x: Array, radius: float, **rest: object) -> NavSolut
         correct_attitudes(ins.q_nb[1:], x),
         **rest,  # type: ignore[arg-type]
     )
+
+
+def _restarted(log: SensorLog, solution: NavSolution, name: str) -> NavSolution:
+    """The solution with a free INS in every gap of the fixes, from the last state that a fix corrected."""
+    from estimators.strapdown import integrate
+    from estimators.update_ins import outage_rows
+
+    imu, start = log.imu, log.initial
+    lla = np.column_stack([solution.lat, solution.lon, solution.h])
+    v_n, q_nb = solution.v_n.copy(), solution.q_nb.copy()
+    for first, last in outage_rows(log, 1.5 / fixes_of(log, name).spec.rate_hz, name):
+        rows = slice(first + 1, last)
+        integrate(
+            imu.t[first], imu.t[rows], imu.gyro[rows], imu.accel[rows], *lla[first], v_n[first], q_nb[first],
+            np.asarray(start.accel_bias, float), np.asarray(start.gyro_bias, float), lla[rows], v_n[rows], q_nb[rows],
+        )  # fmt: skip
+    return replace(solution, lat=lla[:, 0], lon=lla[:, 1], h=lla[:, 2], v_n=v_n, q_nb=q_nb)
 
 
 def _bench_diagonal(variances: Array, lat: Array) -> Array:

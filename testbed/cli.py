@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 the work failed, 2 bad usage or bad input. A user's mistak
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -49,15 +50,16 @@ def main() -> None:
         sys.exit(1)
 
 
-def _load(
+def _loader(
     scenario: str, profile: str | None, variant: str | None, settings: list[str] | None, seed: int | None = None
-) -> Scenario:
+) -> Callable[[Mapping[str, Any]], Scenario]:
+    """How this call reads its scenario; further overrides (of a sweep) stand above the call's own settings."""
     from testbed.scenario import load_scenario, parse_setting
 
     overrides: dict[str, Any] = dict(parse_setting(text) for text in settings or [])
     if seed is not None:
         overrides["monte_carlo.seed"] = seed
-    return load_scenario(scenario, profile, variant, overrides)
+    return lambda further: load_scenario(scenario, profile, variant, {**overrides, **further})
 
 
 def _load_plugins(plugins: list[Path] | None) -> None:
@@ -94,9 +96,8 @@ def run_command(
         print("\nRun one with: testbed run NAME")
         return
     _load_plugins(plugin)
-    loaded = _load(scenario, profile, variant, settings, seed)
     commands.run(
-        loaded,
+        _loader(scenario, profile, variant, settings, seed),
         out=out,
         runs=runs,
         jobs=jobs,
@@ -123,7 +124,7 @@ def fly_command(
     """Fly only: the trajectory as Parquet, CSV, KML and NaveGo-style .mat."""
     from testbed import commands
 
-    commands.fly(_load(scenario, profile, variant, settings, seed), out)
+    commands.fly(_loader(scenario, profile, variant, settings, seed)({}), out)
 
 
 @app.command("sense")
@@ -138,7 +139,7 @@ def sense_command(
     """Fly and record: the trajectory and one sensor log."""
     from testbed import commands
 
-    commands.sense(_load(scenario, profile, variant, settings, seed), out)
+    commands.sense(_loader(scenario, profile, variant, settings, seed)({}), out)
 
 
 @app.command("allan")

@@ -6,7 +6,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,33 +30,48 @@ TABLE_METRICS = {
 }
 
 
-def run(scenario: Scenario, out: Path | None, runs: str | None, estimators: str | None, sweep: list[str] | None, **rest: Any) -> None:
-    """``testbed run``: the Monte Carlo, the table on screen, the report."""
+def run(
+    load: Callable[[Mapping[str, Any]], Scenario],
+    out: Path | None,
+    runs: str | None,
+    estimators: str | None,
+    sweep: list[str] | None,
+    width: float,
+    cap: int,
+    **options: Any,
+) -> None:
+    """``testbed run``: the Monte Carlo, the table on screen, the report. ``load`` makes the scenario from overrides."""
     import testbed.runner
+    from testbed.report import render
 
+    scenario = _choose_estimators(load({}), estimators)
     folder = out or Path("results") / scenario.name
-    scenario = _choose_estimators(scenario, estimators)
     if sweep:
-        from testbed.sweep import sweep_command
-
-        rest = {key: rest[key] for key in ("jobs", "plugins", "timeout")}
-        sweep_command(scenario, sweep, folder, runs=_run_count(runs), progress=progress_line, **rest)
-        print(f"sweep: {folder / 'sweep.csv'}")
+        _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=_run_count(runs), **options)
         return
-    auto = runs == "auto"
-    width, cap = rest.pop("width"), rest.pop("cap")
+    count = testbed.runner.Auto(width, cap) if runs == "auto" else _run_count(runs)
     with progress_line("runs") as tell:
-        if auto:
-            result = testbed.runner.run_auto(scenario, folder, width_pct=width, cap=cap, progress=tell, **rest)
-        else:
-            result = testbed.runner.run(scenario, folder, runs=_run_count(runs), progress=tell, **rest)
+        result = testbed.runner.run(scenario, folder, runs=count, progress=tell, **options)
     print_summary(scenario, result.summary, result.runs)
     if not result.claims.empty:
         print_claims(result.claims)
-    from testbed.report import render
-
     render(folder)
     print(f"report: {folder / 'report.html'}")
+
+
+def _sweep(load: Callable[[Mapping[str, Any]], Scenario], grid: list[str], folder: Path, **options: Any) -> None:
+    from testbed.sweep import parse_sweep
+    from testbed.sweep import sweep as run_grid
+
+    table = run_grid(load, dict(parse_sweep(text) for text in grid), folder, announce=_tell, **options)
+    keys = list(table.columns[: len(grid)])
+    rows = table[(table["window"] == "all") & (table["metric"] == "rmse_position_3d_m")]
+    print(rows.pivot(index=keys, columns="estimator", values="mean").to_string(float_format=lambda v: f"{v:.4g}"))
+    print(f"sweep: {folder / 'sweep.csv'} and {folder / 'sweep.png'}")
+
+
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 def _run_count(runs: str | None) -> int | None:
@@ -133,7 +148,7 @@ def print_summary(scenario: Scenario, summary: pd.DataFrame, runs: pd.DataFrame)
         cells = [entry.row]
         for metric in columns:
             value = wide[metric].get(entry.row)
-            text = "–" if value is None or value != value else f"{value:.4g}"
+            text = _number(value, ".4g")
             cells.append(f"[bold]{text}[/bold]" if value == best[metric] else text)
         table.add_row(*cells, str(int(statuses.get(entry.row, 0))))
     Console(width=None if sys.stdout.isatty() else 140).print(table)
@@ -148,11 +163,14 @@ def print_claims(claims: pd.DataFrame) -> None:
     for column in ("claim", "paper", "measured", "95 % interval", "verdict"):
         table.add_column(column, justify="left" if column in ("claim", "verdict") else "right")
     for row in claims.to_dict("records"):
-        paper = "–" if row["paper_pct"] != row["paper_pct"] else f"{row['paper_pct']:.0f}"
-        table.add_row(
-            str(row["text"] or row["id"]), paper, f"{row['measured_pct']:.1f}", f"{row['ci_low']:.1f} to {row['ci_high']:.1f}", row["verdict"]
-        )
+        measured, low, high = (_number(row[key], ".1f") for key in ("measured_pct", "ci_low", "ci_high"))
+        table.add_row(row["text"] or row["id"], _number(row["paper_pct"], ".0f"), measured, f"{low} to {high}", row["verdict"])
     Console(width=None if sys.stdout.isatty() else 140).print(table)
+
+
+def _number(value: float | None, form: str) -> str:
+    """A number for a table; a dash where there is none."""
+    return "–" if value is None or value != value else format(value, form)
 
 
 @contextmanager

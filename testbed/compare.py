@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,21 +29,19 @@ LOST = "lost_runs"
 COLUMNS = "estimator window metric old new change_pct ci_low ci_high p_value verdict".split()
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """``table`` with `COLUMNS`; ``ci_low`` and ``ci_high`` bound ``new - old``; ``verdict`` is same, better or worse."""
-
-    table: pd.DataFrame
-    paired: bool
-
-    @property
-    def worse(self) -> bool:
-        """Whether any metric got worse, or an estimator is gone."""
-        return bool((self.table["verdict"].isin(["worse", "missing"])).any())
+def compare_results(old: str | Path, new: str | Path, smallest_pct: float = SMALLEST_PCT) -> pd.DataFrame:
+    """The metrics that changed between two result folders, worst first: the rows of `compare_all` that are not the same."""
+    table = compare_all(old, new, smallest_pct)
+    changed = table[table["verdict"] != "same"]
+    return changed.sort_values("change_pct", ascending=False, na_position="first", kind="stable").reset_index(drop=True)
 
 
-def compare(old: str | Path, new: str | Path, smallest_pct: float = SMALLEST_PCT) -> Comparison:
-    """Compare two result folders. Raises InputError when one is none."""
+def compare_all(old: str | Path, new: str | Path, smallest_pct: float = SMALLEST_PCT) -> pd.DataFrame:
+    """Every compared metric with `COLUMNS`; ``ci_low`` and ``ci_high`` bound ``new - old``.
+
+    ``verdict`` is same, better or worse; a row that the new result lacks is worse. Raises InputError when a folder is no
+    result.
+    """
     import pandas as pd
 
     stores = open_result(old), open_result(new)
@@ -53,19 +50,15 @@ def compare(old: str | Path, new: str | Path, smallest_pct: float = SMALLEST_PCT
     rows: list[dict[str, Any]] = []
     for cell, a in before.items():
         row: dict[str, Any] = dict(zip(("estimator", "window", "metric"), cell, strict=True))
-        if (b := after.get(cell)) is None:
-            rows.append(row | {"old": a.mean(), "verdict": "missing"})
-        else:
-            rows.append(row | _change(a, b, paired))
+        b = after.get(cell)
+        rows.append(row | ({"old": float(a.mean()), "verdict": "worse"} if b is None else _change(a, b, paired)))
     table = pd.DataFrame(rows, columns=COLUMNS)
-    certain = holm(table["p_value"].to_numpy(dtype=float)) < ALPHA
-    large = table["change_pct"].abs() > smallest_pct
-    exact = table["p_value"].isna() & (paired & table["change_pct"].notna())
-    moved = large & (certain | exact)
-    table.loc[table["verdict"].isna(), "verdict"] = "same"
-    table.loc[moved & (table["change_pct"] > 0), "verdict"] = "worse"
-    table.loc[moved & (table["change_pct"] < 0), "verdict"] = "better"
-    return Comparison(table, paired)
+    p_values, change = table["p_value"].to_numpy(dtype=float), table["change_pct"].to_numpy(dtype=float)
+    certain = holm(p_values) < ALPHA
+    exact = paired & np.isnan(p_values)  # a single run of the same data leaves nothing to chance
+    moved = (np.abs(change) > smallest_pct) & (certain | exact)
+    verdict = np.where(moved, np.where(change > 0, "worse", "better"), "same")
+    return table.assign(verdict=table["verdict"].where(table["verdict"].notna(), verdict))
 
 
 def holm(p_values: Array) -> Array:

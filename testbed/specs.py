@@ -12,6 +12,9 @@ from typing import Any
 
 Vector = tuple[float, float, float]
 
+GAUSS_MARKOV_PEAK = 0.61736
+"""Peak of the Allan deviation of a first-order Gauss-Markov process, over its sigma; it lies at 1.893 correlation times."""
+
 
 @dataclass(frozen=True)
 class TriadSpec:
@@ -53,10 +56,9 @@ class TriadSpec:
     def gauss_markov_sigma(self) -> float:
         """Steady-state sigma (u) of the Gauss-Markov bias whose Allan deviation peaks at ``bias_instability``.
 
-        The Allan deviation of a first-order Gauss-Markov process peaks at 0.6167 sigma, at 1.89 correlation times
-        (IEEE Std 952-1997, eq. C.16, maximised numerically).
+        IEEE Std 952-1997, eq. C.16, maximised numerically: see `GAUSS_MARKOV_PEAK`.
         """
-        return self.bias_instability / 0.6167
+        return self.bias_instability / GAUSS_MARKOV_PEAK
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ def decode(source: Path | bytes) -> UnitResult:
     """Inverse of `encode` (``files`` are not kept)."""
     import pyarrow.parquet as pq
 
-    table = pq.read_table(io.BytesIO(source) if isinstance(source, bytes) else source)
+    table = pq.ParquetFile(io.BytesIO(source) if isinstance(source, bytes) else source).read(use_threads=False)
     header = json.loads(table.schema.metadata[b"testbed"])
     result = UnitResult(header["run"], [Outcome(**o) for o in header["outcomes"]])
     estimators, windows, metrics, values = (table[c].to_pylist() for c in ("estimator", "window", "metric", "value"))

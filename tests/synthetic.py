@@ -10,7 +10,7 @@ import numpy as np
 from estimators.strapdown import integrate
 from testbed import earth
 from testbed.records import GnssFixes, ImuSamples, InitialState, SensorLog, Trajectory
-from testbed.rotations import eulers_to_quats, quat_conjugate, quat_multiply, quat_rotate_inverse, quat_to_rotvec
+from testbed.rotations import eulers_to_quats, quat_conjugate, quat_multiply, quat_rotate_inverse, quat_to_rotvec, rotvec_to_quat
 from testbed.specs import GnssSpec, ImuSpec, TriadSpec
 
 LAT, LON, H = np.radians(35.0), np.radians(51.0), 1500.0
@@ -52,7 +52,7 @@ def sensor_log(
 ) -> SensorLog:
     """White IMU noise (per sample), a bias on the three gyros (rad/s) that the filter is not told, white GNSS.
 
-    The initial state is drawn around truth with ``std``: position (m), velocity (m/s) and attitude (rad) per axis.
+    The same seed gives the same draws whatever the outages. The initial state is drawn around truth with ``std``: position (m), velocity (m/s) and attitude (rad) per axis.
     """
     rng = np.random.default_rng(seed)
     n, root = len(truth.t) - 1, np.sqrt(1.0 / truth.dt)
@@ -62,22 +62,24 @@ def sensor_log(
     gyro = truth.w_ib_b[1:] + gyro_bias + gyro_noise * rng.standard_normal((n, 3))
     accel = truth.f_b[1:] + accel_noise * rng.standard_normal((n, 3))
     rows = np.arange(0, n + 1, round(1.0 / gnss_rate / truth.dt))[1:]
+    noise, noise_v = position_sigma * rng.standard_normal((len(rows), 3)), velocity_sigma * rng.standard_normal((len(rows), 3))
+    seen = np.ones(len(rows), dtype=bool)
     for start, end in outages:
-        rows = rows[(truth.t[rows] < start) | (truth.t[rows] > end)]
+        seen &= (truth.t[rows] < start) | (truth.t[rows] > end)
+    rows, noise, noise_v = rows[seen], noise[seen], noise_v[seen]
     north, east = earth.metres_per_radian(truth.lat[rows], truth.h[rows])
-    noise = position_sigma * rng.standard_normal((len(rows), 3))
     gnss = GnssFixes(
         truth.t[rows],
         truth.lat[rows] + noise[:, 0] / north,
         truth.lon[rows] + noise[:, 1] / east,
         truth.h[rows] - noise[:, 2],
-        truth.v_n[rows] + velocity_sigma * rng.standard_normal((len(rows), 3)),
+        truth.v_n[rows] + noise_v,
         GnssSpec("test", gnss_rate, position_sigma, position_sigma, velocity_sigma=velocity_sigma),
         outages,
     )
     deviation = np.repeat(std, 3)
     draw = deviation * rng.standard_normal(9)
-    q = quat_multiply(_rotation(draw[6:9]), truth.q_nb[0])
+    q = quat_multiply(rotvec_to_quat(draw[6:9]), truth.q_nb[0])
     north, east = earth.metres_per_radian(truth.lat[0], truth.h[0])
     initial = InitialState(
         float(truth.t[0]),
@@ -92,8 +94,3 @@ def sensor_log(
     )
     return SensorLog(ImuSamples(truth.t[1:], gyro, accel, spec), initial, gnss)
 
-
-def _rotation(vector: np.ndarray) -> tuple[float, float, float, float]:
-    from testbed.rotations import rotvec_to_quat
-
-    return rotvec_to_quat(vector)

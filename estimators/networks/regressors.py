@@ -35,8 +35,8 @@ def fit_regressor(kind: str, x: Array, y: Array, neurons: int, seed: int, how: T
 
 
 def _random_forest(neurons: int, seed: int) -> Any:
-    """Breiman (2001), 50 trees, leaves of at least 5 samples."""
-    return _sklearn("ensemble").RandomForestRegressor(n_estimators=50, min_samples_leaf=5, random_state=seed, n_jobs=1)
+    """Breiman (2001), 25 trees, leaves of at least 5 samples."""
+    return _sklearn("ensemble").RandomForestRegressor(n_estimators=25, min_samples_leaf=5, random_state=seed, n_jobs=1)
 
 
 def _support_vectors(neurons: int, seed: int) -> Any:

@@ -3,7 +3,8 @@
 Structure after Stevens and Lewis, *Aircraft Control and Simulation*, chapter 4, and Beard and McLain, chapter 6: rate
 loops inside, coordinated-turn kinematics as feed-forward, load factor and incidence as limits. SI units and radians.
 
-`step` is one tick. Its arrays are indexed by the names below; nothing is allocated.
+`step` is one tick. Its arrays are indexed by the names below; nothing is allocated. They are views of one array, the
+desk, because handing arrays to a compiled function costs more than the arithmetic.
 """
 
 from __future__ import annotations
@@ -31,8 +32,10 @@ MEMORY = 6
 
 # commands
 AILERON, ELEVATOR, RUDDER, THROTTLE = range(4)
+COMMANDS = 4
+DESK = MEASUREMENTS + TARGETS + MEMORY + COMMANDS
 
-# gains, in the order of the fields of `aircraft.Gains`
+# gains and limits of the aircraft
 (
     SPEED_NOMINAL,
     ROLL_ANGLE,
@@ -59,8 +62,9 @@ AILERON, ELEVATOR, RUDDER, THROTTLE = range(4)
     LOAD_FACTOR_MAX,
     LOAD_FACTOR_MIN,
     ALPHA_MAX,
-) = range(25)
-GAINS = 25
+    PERIOD,
+) = range(26)
+GAINS = 26
 
 
 @njit(cache=True)
@@ -70,8 +74,17 @@ def clip(value, low, high):
 
 
 @njit(cache=True)
-def step(measured, target, gain, memory, command, dt):
-    """One tick of ``dt`` seconds: fills ``command`` from the targets and advances ``memory``."""
+def desk_views(desk):
+    """Measurements, targets, memory and commands: views of the desk, in this order."""
+    a, b = MEASUREMENTS + TARGETS, MEASUREMENTS + TARGETS + MEMORY
+    return desk[:MEASUREMENTS], desk[MEASUREMENTS:a], desk[a:b], desk[b:]
+
+
+@njit(cache=True)
+def step(desk, gain):
+    """One tick of ``gain[PERIOD]`` seconds: fills the commands from the targets and advances the memory."""
+    measured, target, memory, command = desk_views(desk)
+    dt = gain[PERIOD]
     v = max(measured[AIRSPEED], 1.0)
     # the moment of a surface grows with the dynamic pressure, and damping too: gain falls with the square of speed
     schedule = clip((gain[SPEED_NOMINAL] / v) ** 2, 0.3, 3.0)
@@ -127,9 +140,10 @@ def _pitch(m, target, gain, memory, schedule, v, dt):
 def _yaw(m, target, gain, schedule, v):
     coordinated = G0 / v * np.sin(m[ROLL]) * np.cos(m[PITCH])
     yaw_right = gain[SIDESLIP] * m[BETA] + gain[YAW_RATE] * (coordinated - m[R])
-    # a yaw damper inside the aircraft's own flight control opposes the turn: what it needs is fed forward
+    # a yaw damper inside the aircraft's own flight control opposes the turn: what that adds is taken off, beyond the
+    # range of the pedals if need be, because it is the damper's output that is limited
     against = gain[YAW_FEEDFORWARD] * coordinated
-    return -clip(schedule * yaw_right + against + target[RUDDER_OFFSET], -1.0, 1.0)
+    return -clip(schedule * yaw_right + target[RUDDER_OFFSET], -1.0, 1.0) - against
 
 
 @njit(cache=True)

@@ -7,6 +7,7 @@ starts, and after some seconds of it time begins. SI units and radians.
 from __future__ import annotations
 
 import math
+import struct
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.earth import metres_per_radian
 from testbed.errors import FlightError, TestbedError
 from testbed.flight import autopilot_kernels as ap
 from testbed.flight import manoeuvres
@@ -27,6 +29,11 @@ STEP_RATE_MIN = 200.0
 """JSBSim steps at least this often: the aerosonde's roll mode has a time constant of 33 ms."""
 CONTROL_RATE = 50.0
 CONTROLS_PER_GUIDANCE = 5
+CONTROLS_PER_AIR_SAMPLE = 2
+GROUND_M = 1.0
+"""Below this height over ground the aircraft has hit it."""
+STALL_TICKS, LAG_TICKS = 5, 200
+"""Guidance ticks (0.1 s) beyond the stall, or far from a target, after which the flight has failed."""
 SETTLE_MIN_S, SETTLE_MAX_S, GUST_S = 8.0, 90.0, 5.0
 AIR = (
     ("airspeed_mps", FOOT),
@@ -107,21 +114,21 @@ class _Pilot:
     def __init__(self, config: FlightConfig, aircraft: Aircraft, simulator: Simulator, dt: float) -> None:
         self.aircraft, self.simulator, self.dt = aircraft, simulator, dt
         self.every = max(1, round(1.0 / (dt * CONTROL_RATE)))
-        self.measured, self.target = np.zeros(ap.MEASUREMENTS), np.zeros(ap.TARGETS)
-        self.memory, self.command = np.zeros(ap.MEMORY), np.zeros(4)
+        self.desk = np.zeros(ap.DESK)
+        self.measured, self.target, self.memory, self.command = ap.desk_views(self.desk)
         self.memory[ap.SPEED_REFERENCE] = config.initial.speed_mps
         self.memory[ap.PITCH_INTEGRAL] = aircraft.autopilot.elevator_trim
         self.situation = manoeuvres.Situation(aircraft, self.measured, self.target)
         self.air = array("d")
-        self.tick = _make_tick(self)
+        self.read, self.act, self.record = _make_tick(self)
         self.steps = 0
-        self.trouble = 0
-        self.lagging = 0
+        self.stalled, self.lagging = 0, 0
+        self.roll_departed = math.radians(aircraft.limits.bank_max_deg + 45.0)
+        self.alpha_stall = math.radians(aircraft.limits.alpha_stall_deg)
 
     def settle(self, config: FlightConfig) -> None:
         """Fly straight and level until nothing moves; then some seconds in turbulence where there is any."""
         target, measured, limits = self.target, self.measured, self.aircraft.limits
-        self._look()
         target[ap.LATERAL_MODE], target[ap.HEADING] = ap.HOLD_HEADING, math.radians(config.initial.heading_deg)
         target[ap.BANK_LIMIT] = math.radians(20.0)
         target[ap.ALTITUDE] = config.initial.alt_m
@@ -160,22 +167,27 @@ class _Pilot:
         s, sim, run = self.situation, self.simulator, self.simulator.run
         lat, lon, _ = sim.place
         s.origin = (lat(), lon(), config.initial.alt_m)
+        s.metres = metres_per_radian(s.origin[0], s.origin[2])
         start = (math.radians(config.initial.lat_deg), math.radians(config.initial.lon_deg), sim.motion[6]() * FOOT)
         script = _Script(config, s)
         v_n, v_e, v_d, roll, pitch, yaw = sim.state
         state = array("d", (v_n(), v_e(), v_d(), roll(), pitch(), yaw()))
-        store, every, dt, tick = state.extend, self.every, self.dt, self.tick
+        store, every, dt = state.extend, self.every, self.dt
+        read, act, record = self.read, self.act, self.record
         step, following, ticks = 0, substeps, 0
         last = None if samples is None else (samples - 1) * substeps
         # this loop is the whole cost of flying beside JSBSim itself
-        while True:
+        while last is None or step < last:
+            read()
             if ticks % CONTROLS_PER_GUIDANCE == 0:
                 self._look()
-                s.t = step * dt
+                s.t = round(step * dt, 9)
                 self._watch(script)
                 if not script.advance(open_ended=last is not None):
                     break
-            tick()
+            act()
+            if ticks % CONTROLS_PER_AIR_SAMPLE == 0:
+                record()
             ticks += 1
             for _ in range(every):
                 run()
@@ -183,71 +195,61 @@ class _Pilot:
                 if step == following:
                     store((v_n(), v_e(), v_d(), roll(), pitch(), yaw()))
                     following += substeps
-            if last is not None and step >= last:
-                break
         self.steps += step
         rows = np.frombuffer(state).reshape(-1, len(STATE))[:samples]
         end = (len(rows) - 1) / config.rate_hz
         scale = np.array([factor for _, factor in STATE])
         air = np.frombuffer(self.air).reshape(-1, len(AIR)) * np.array([factor for _, factor in AIR])
-        return Recording(rows * scale, np.arange(len(air)) * every * dt, air, script.phases(end), start, self.steps)
+        return Recording(rows * scale, np.arange(len(air)) * CONTROLS_PER_AIR_SAMPLE * every * dt, air, script.phases(end), start, self.steps)
 
     def _run_tick(self) -> None:
-        self.tick()
+        self.read()
+        self.act()
         for _ in range(self.every):
             self.simulator.run()
         self.steps += self.every
 
     def _look(self) -> None:
-        """Refresh what guidance sees."""
+        """Refresh what guidance sees beside the measurements of the autopilot."""
         s, sim = self.situation, self.simulator
-        lat, lon = sim.place[0](), sim.place[1]()
-        north, east = _metres(s.origin)
-        s.north, s.east = (lat - s.origin[0]) * north, manoeuvres.wrap(lon - s.origin[1]) * east
+        lat, lon, _ = sim.place
+        s.north = (lat() - s.origin[0]) * s.metres[0]
+        s.east = manoeuvres.wrap(lon() - s.origin[1]) * s.metres[1]
         s.v_north, s.v_east = sim.state[0]() * FOOT, sim.state[1]() * FOOT
-        self.read()
-
-    def read(self) -> None:
-        """Refresh the measurements of the autopilot."""
 
     def _watch(self, script: _Script) -> None:
         """FlightError when the aircraft has left what it can fly."""
-        m, limits, s = self.measured, self.aircraft.limits, self.situation
-        if not np.isfinite(m).all():
-            script.fail("the simulation diverged (state is not finite)")
-        if self.simulator.place[2]() * FOOT < 1.0:
-            script.fail(f"hit the ground at {m[ap.AIRSPEED]:.0f} m/s")
-        if abs(m[ap.ROLL]) > math.radians(limits.bank_max_deg + 45.0):
-            script.fail(f"departed: it banks {math.degrees(m[ap.ROLL]):.0f}°")
-        stalled = m[ap.ALPHA] > math.radians(limits.alpha_stall_deg) or m[ap.AIRSPEED] < 0.75 * limits.speed_min_mps
-        self.trouble = self.trouble + 1 if stalled else 0
-        if self.trouble > 5:
-            script.fail(f"stalled: incidence {math.degrees(m[ap.ALPHA]):.0f}°, airspeed {m[ap.AIRSPEED]:.1f} m/s")
-        behind, what = _behind(m, self.target, self.memory, limits.climb_max_mps)
-        self.lagging = self.lagging + 1 if behind else 0
-        if self.lagging > 200:
-            script.fail(f"could not hold {what} for 20 s")
-        s.begin = s.begin  # planned times are kept by the script
+        limits, m = self.aircraft.limits, self.measured.tolist()
+        roll, alpha, airspeed = m[ap.ROLL], m[ap.ALPHA], m[ap.AIRSPEED]
+        if not math.isfinite(sum(m)):
+            script.fail("diverged: the state of the simulation is not finite")
+        if self.simulator.place[2]() * FOOT < GROUND_M:
+            script.fail(f"hit the ground at {airspeed:.0f} m/s")
+        if abs(roll) > self.roll_departed:
+            script.fail(f"departed: it banks {math.degrees(roll):.0f}°")
+        self.stalled = self.stalled + 1 if alpha > self.alpha_stall or airspeed < 0.75 * limits.speed_min_mps else 0
+        if self.stalled > STALL_TICKS:
+            script.fail(f"stalled: incidence {math.degrees(alpha):.0f}°, airspeed {airspeed:.1f} m/s")
+        what = self._behind(m)
+        self.lagging = self.lagging + 1 if what else 0
+        if self.lagging > LAG_TICKS:
+            script.fail(f"could not hold {what}")
 
-
-def _behind(m: NDArray, target: NDArray, memory: NDArray, climb_max: float) -> tuple[bool, str]:
-    """Whether the aircraft is far from its vertical or speed target, and how."""
-    if target[ap.VERTICAL_MODE] == ap.HOLD_CLIMB:
-        wanted = target[ap.CLIMB]
-        if abs(m[ap.CLIMB_RATE] - wanted) > 2.0 + 0.5 * abs(wanted):
-            return True, f"a climb rate of {wanted:.1f} m/s (it climbs {m[ap.CLIMB_RATE]:.1f} m/s)"
-    elif abs(miss := m[ap.HEIGHT] - target[ap.ALTITUDE]) > 20.0 * climb_max and miss * m[ap.CLIMB_RATE] > 0.0:
-        return True, f"its height of {target[ap.ALTITUDE]:.0f} m (it is at {m[ap.HEIGHT]:.0f} m)"
-    reference = memory[ap.SPEED_REFERENCE]
-    if abs(m[ap.AIRSPEED] - reference) > 0.25 * reference:
-        return True, f"a speed of {reference:.1f} m/s (it flies {m[ap.AIRSPEED]:.1f} m/s)"
-    return False, ""
-
-
-def _metres(origin: tuple[float, float, float]) -> tuple[float, float]:
-    from testbed.earth import metres_per_radian
-
-    return metres_per_radian(origin[0], origin[2])
+    def _behind(self, m: list[float]) -> str:
+        """Which vertical or speed target is far away, or nothing."""
+        target, climb_rate = self.target, m[ap.CLIMB_RATE]
+        if target[ap.VERTICAL_MODE] == ap.HOLD_CLIMB:
+            wanted = target[ap.CLIMB]
+            if abs(climb_rate - wanted) > 2.0 + 0.5 * abs(wanted):
+                return f"a climb rate of {wanted:.1f} m/s (it climbs {climb_rate:.1f} m/s)"
+        else:
+            miss = m[ap.HEIGHT] - target[ap.ALTITUDE]
+            if abs(miss) > 20.0 * self.aircraft.limits.climb_max_mps and miss * climb_rate > 0.0:
+                return f"its height of {target[ap.ALTITUDE]:.0f} m (it is at {m[ap.HEIGHT]:.0f} m)"
+        reference = self.memory[ap.SPEED_REFERENCE]
+        if abs(m[ap.AIRSPEED] - reference) > 0.25 * reference:
+            return f"a speed of {reference:.1f} m/s (it flies {m[ap.AIRSPEED]:.1f} m/s)"
+        return ""
 
 
 class _Script:
@@ -302,41 +304,36 @@ class _Script:
         return tuple(Phase(label, begin, min(stop, end)) for label, begin, stop in pairs if begin < end)
 
 
-def _make_tick(pilot: _Pilot) -> Callable[[], None]:
-    """The autopilot tick as a closure over local names: attribute look-ups would double its cost."""
+def _make_tick(pilot: _Pilot) -> tuple[Callable[[], None], Callable[[], None], Callable[[], None]]:
+    """Read, act and record as closures over local names: attribute look-ups would double their cost."""
     sim = pilot.simulator
     p, q, r, airspeed, alpha, beta, height, climb = sim.motion
     roll, pitch, yaw = sim.state[3:]
     left_aileron, elevator, rudder, engine, wind_n, wind_e, wind_d, temperature = sim.air
     set_aileron, set_elevator, set_rudder = sim.surfaces
     throttles = sim.throttles
-    measured, target, memory, command = pilot.measured, pilot.target, pilot.memory, pilot.command
-    gains, period, step, record = gain_array(pilot.aircraft), pilot.every * pilot.dt, ap.step, pilot.air.extend
+    desk, command = pilot.desk, pilot.command
+    gains, step, extend = gain_array(pilot.aircraft), ap.step, pilot.air.extend
+    gains[ap.PERIOD] = pilot.every * pilot.dt
     scale = pilot.aircraft.model.engine_scale
+    pack = struct.Struct(f"{ap.MEASUREMENTS}d").pack_into
 
     def read() -> None:
-        measured[0], measured[1], measured[2] = roll(), pitch(), yaw()
-        measured[3], measured[4], measured[5] = p(), q(), r()
-        measured[6], measured[7], measured[8] = airspeed() * FOOT, alpha(), beta()
-        measured[9], measured[10] = height() * FOOT, climb() * FOOT
+        pack(
+            desk, 0, roll(), pitch(), yaw(), p(), q(), r(), airspeed() * FOOT, alpha(), beta(), height() * FOOT, climb() * FOOT
+        )  # fmt: skip
 
-    def tick() -> None:
-        measured[0], measured[1], measured[2] = roll(), pitch(), yaw()
-        measured[3], measured[4], measured[5] = p(), q(), r()
-        v, a, b = airspeed(), alpha(), beta()
-        measured[6], measured[7], measured[8] = v * FOOT, a, b
-        measured[9], measured[10] = height() * FOOT, climb() * FOOT
-        step(measured, target, gains, memory, command, period)
+    def act() -> None:
+        step(desk, gains)
         one, two, three, four = command.tolist()
         set_aileron(one)
         set_elevator(two)
         set_rudder(three)
         for set_throttle in throttles:
             set_throttle(four)
-        record(
-            (v, a, b, four, left_aileron(), elevator(), rudder(), engine() * scale)
-            + (wind_n(), wind_e(), wind_d(), temperature())
-        )
 
-    pilot.read = read  # type: ignore[method-assign]
-    return tick
+    def record() -> None:
+        controls = (float(command[ap.THROTTLE]), left_aileron(), elevator(), rudder(), engine() * scale)
+        extend((airspeed(), alpha(), beta()) + controls + (wind_n(), wind_e(), wind_d(), temperature()))
+
+    return read, act, record

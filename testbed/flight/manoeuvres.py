@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.earth import G0, metres_per_radian
+from testbed.earth import G0
 from testbed.errors import FlightError
 from testbed.flight import autopilot_kernels as ap
 from testbed.flight import config as cfg
@@ -33,6 +33,9 @@ class Situation:
     measured: NDArray[np.float64]
     target: NDArray[np.float64]
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Latitude, longitude (rad) and height (m) where the flight starts."""
+    metres: tuple[float, float] = (0.0, 0.0)
+    """Metres per radian of latitude and longitude there."""
     t: float = 0.0
     begin: float = 0.0
     """Planned start of the manoeuvre: the planned end of the one before, not the tick at which it was noticed."""
@@ -327,10 +330,9 @@ def _waypoints(m: cfg.Waypoints, s: Situation) -> Iterator[None]:
 def _local(point: cfg.Waypoint, s: Situation) -> tuple[float, float]:
     if point.north_m is not None and point.east_m is not None:
         return point.north_m, point.east_m
-    lat, lon, h = s.origin
-    north, east = metres_per_radian(lat, h)
-    dlat, dlon = math.radians(point.lat_deg or 0.0) - lat, wrap(math.radians(point.lon_deg or 0.0) - lon)
-    return dlat * north, dlon * east
+    north = math.radians(point.lat_deg or 0.0) - s.origin[0]
+    east = wrap(math.radians(point.lon_deg or 0.0) - s.origin[1])
+    return north * s.metres[0], east * s.metres[1]
 
 
 _GENERATORS: dict[type, Callable[..., Iterator[None]]] = {

@@ -57,7 +57,7 @@ def import_log(format: str, files: Path | str | Sequence[Path | str], **options:
     if len(paths) == 1 and paths[0].is_dir():
         data["dir"] = str(paths[0])
     else:
-        data |= {"dir": str(paths[0].parent), "files": _parts_of(kind, paths) | options.get("files", {})}
+        data |= {"dir": str(paths[0].parent), "files": _parts_of(kind, paths)}
     return load_recording(validate(RecordingConfig, data, f"import {format}"), Path())
 
 
@@ -88,7 +88,9 @@ def _parts_of(kind: str, paths: Sequence[Path]) -> dict[str, str]:
             raise InputError(f"{path}: no such file or folder")
         part = parts[0] if len(parts) == 1 else next((p for p in parts if path.name.lower().startswith(p)), None)
         if part is None or part in out:
-            raise InputError(f"{path}: cannot tell which part this is; name the files {', '.join(p + '*' for p in parts)}")
+            raise InputError(
+                f"{path}: cannot tell which part this is; name the files {', '.join(p + '*' for p in parts)}"
+            )
         out[part] = path.name
     return out
 

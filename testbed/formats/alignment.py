@@ -27,6 +27,8 @@ LEVEL_STD = np.radians(0.5)
 """Mounting and averaging error of levelling, beyond what the specification accounts for."""
 MAG_STD = np.radians(5.0)
 """Heading error of an uncalibrated magnetometer in its vehicle, beyond the specification."""
+MAG_ITERATIONS = 60
+"""Heading needs roll and pitch and, in a turn, these need the heading: each round leaves about tan(dip) a/g of the error."""
 UNKNOWN_STD = np.pi / np.sqrt(3.0)
 REFERENCE_STD = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, *np.radians([0.1, 0.1, 0.5])])
 """Smallest sigma of a start from the reference: m, m/s, rad."""
@@ -55,14 +57,16 @@ def align(
     ``t_start`` is the beginning of the first IMU interval. The first fix makes the initial position and velocity, so it
     is not offered to the filter a second time. Raises InputError where neither GNSS nor a reference can give a start.
     """
-    if config.start == "reference" or config.attitude == "reference":
-        if reference is None:
-            raise InputError(f"{place}: the initial state is to come from the reference, but the recording has none")
+    if "reference" in (config.start, config.attitude) and reference is None:
+        raise InputError(f"{place}: the initial state is to come from the reference, but the recording has none")
     if config.start == "gnss" and (gnss is None or not len(gnss.t)):
-        raise InputError(f"{place}: without GNSS fixes the initial state needs [recording.initial] start = \"reference\"")
+        raise InputError(f'{place}: without GNSS fixes the initial state needs [recording.initial] start = "reference"')
     source = gnss if config.start == "gnss" else reference
     assert source is not None
-    needed = max(float(source.t[0]), float(reference.t[0]) if config.attitude == "reference" and reference is not None else -np.inf)
+    needed = max(
+        float(source.t[0]),
+        float(reference.t[0]) if config.attitude == "reference" and reference is not None else -np.inf,
+    )
     imu, t = cut_before(imu, t_start, needed, place)
     attitude, attitude_std = _attitude(config, imu, gnss, mag, reference, t)
     q_nb = np.array(euler_to_quat(*attitude))
@@ -155,13 +159,15 @@ def _levelled(
         yaw_std = np.radians(5.0)
     elif heading == "course":
         if speed < 1.0:
-            raise InputError(f"[recording.initial] heading = \"course\", but the first fix moves at {speed:.2g} m/s only")
+            raise InputError(f'[recording.initial] heading = "course", but the first fix moves at {speed:.2g} m/s only')
         yaw = float(np.arctan2(velocity[1], velocity[0]))
         yaw_std = float(np.hypot(velocity_std / speed, np.radians(config.crab_deg)))
     roll, pitch = level(f_b, a_n if yaw_std < UNKNOWN_STD else np.zeros(3), gravity, yaw)
     if heading == "mag" and config.yaw_deg is None:
         roll, pitch, yaw, yaw_std = _by_mag(config, mag, t, f_b, a_n, gravity)
-    level_std = np.sqrt((imu.spec.accel.turn_on_bias / gravity) ** 2 + 2.0 * (velocity_std / (span * gravity)) ** 2 + LEVEL_STD**2)
+    level_std = np.sqrt(
+        (imu.spec.accel.turn_on_bias / gravity) ** 2 + 2.0 * (velocity_std / (span * gravity)) ** 2 + LEVEL_STD**2
+    )
     return roll, pitch, yaw, np.array([level_std, level_std, yaw_std])
 
 
@@ -169,12 +175,12 @@ def _by_mag(
     config: AlignmentConfig, mag: MagSamples | None, t: float, f_b: Array, a_n: Array, gravity: float
 ) -> tuple[float, float, float, float]:
     if mag is None or not len(mag.t):
-        raise InputError("[recording.initial] heading = \"mag\", but the recording has no magnetometer")
+        raise InputError('[recording.initial] heading = "mag", but the recording has no magnetometer')
     near = np.abs(mag.t - t) <= max(0.1, float(np.abs(mag.t - t).min()) + 1e-9)
     field_b = mag.field[near].mean(axis=0)
     declination = mag.spec.declination if config.declination_deg is None else float(np.radians(config.declination_deg))
     roll, pitch = level(f_b, np.zeros(3), gravity, 0.0)
-    for _ in range(3):
+    for _ in range(MAG_ITERATIONS):
         yaw, horizontal = magnetic_heading(field_b, roll, pitch, declination)
         roll, pitch = level(f_b, a_n, gravity, yaw)
     return roll, pitch, yaw, float(np.hypot(MAG_STD, mag.spec.turn_on_bias / horizontal))
@@ -191,9 +197,7 @@ def _force_at_start(imu: ImuSamples, window: int, t: float) -> Array:
     return (turned * steps).sum(axis=0) / steps.sum()
 
 
-def from_first_fix(
-    gnss: GnssFixes, t: float, q_nb: Array
-) -> tuple[float, float, float, Array, Array, GnssFixes]:
+def from_first_fix(gnss: GnssFixes, t: float, q_nb: Array) -> tuple[float, float, float, Array, Array, GnssFixes]:
     """Position (of the IMU, moved back to ``t``), velocity, their sigmas, and the fixes after the first."""
     v_n = gnss.v_n[0].copy()
     back = quats_to_matrices(q_nb[None])[0] @ np.array(gnss.spec.lever_arm_b) + v_n * (gnss.t[0] - t)

@@ -29,17 +29,17 @@ class AlignmentConfig(Table):
     """Roll and pitch by levelling, or all three angles from the reference."""
     heading: Literal["auto", "course", "mag", "none"] = "auto"
     """With levelling: course over ground above 5 m/s, else magnetometer, else unknown."""
-    level_s: float = Field(2.0, gt=0.0, le=600.0)
+    level_s: float = Field(default=2.0, gt=0.0, le=600.0)
     """Averaging time of the accelerometer."""
-    crab_deg: float = Field(10.0, ge=0.0, le=180.0)
+    crab_deg: float = Field(default=10.0, ge=0.0, le=180.0)
     """1 sigma between course and heading."""
-    declination_deg: float | None = Field(None, ge=-180.0, le=180.0)
+    declination_deg: float | None = Field(default=None, ge=-180.0, le=180.0)
     """Of the magnetic field, east; default: the magnetometer's specification."""
-    roll_deg: float | None = Field(None, ge=-180.0, le=180.0)
-    pitch_deg: float | None = Field(None, ge=-90.0, le=90.0)
-    yaw_deg: float | None = Field(None, ge=-360.0, le=360.0)
-    roll_pitch_std_deg: float | None = Field(None, gt=0.0, le=180.0)
-    yaw_std_deg: float | None = Field(None, gt=0.0, le=180.0)
+    roll_deg: float | None = Field(default=None, ge=-180.0, le=180.0)
+    pitch_deg: float | None = Field(default=None, ge=-90.0, le=90.0)
+    yaw_deg: float | None = Field(default=None, ge=-360.0, le=360.0)
+    roll_pitch_std_deg: float | None = Field(default=None, gt=0.0, le=180.0)
+    yaw_std_deg: float | None = Field(default=None, gt=0.0, le=180.0)
 
 
 class RecordingConfig(Table):
@@ -47,9 +47,9 @@ class RecordingConfig(Table):
 
     format: Literal["navego", "table", "ulog"]
     dir: str = "."
-    files: dict[str, str] = {}
+    files: dict[str, str] = Field(default_factory=dict)
     """Part -> file in ``dir``; default names where a part is absent."""
-    columns: dict[str, str | dict[str, str]] = {}
+    columns: dict[str, str | dict[str, str]] = Field(default_factory=dict)
     """table: the file's column -> documented column with unit (a leading minus turns the sign); a sub-table is for one part."""
     mapping: str | None = None
     """table: TOML file with such a ``[columns]`` table."""
@@ -61,17 +61,19 @@ class RecordingConfig(Table):
     end_s: float | None = None
     """Use only this part of the recording."""
     initial: AlignmentConfig = AlignmentConfig()
-    imu: dict[str, Any] = {}
-    gnss: dict[str, Any] = {}
-    mag: dict[str, Any] = {}
-    baro: dict[str, Any] = {}
+    imu: dict[str, Any] = Field(default_factory=dict)
+    gnss: dict[str, Any] = Field(default_factory=dict)
+    mag: dict[str, Any] = Field(default_factory=dict)
+    baro: dict[str, Any] = Field(default_factory=dict)
     """Specification instead of what the files state: ``model`` of the catalogue, single figures of it, ``file``."""
 
     @model_validator(mode="after")
     def _consistent(self) -> RecordingConfig:
         for part in self.files:
             if part not in PARTS[self.format]:
-                raise ValueError(f"files: '{part}' is no part of a {self.format} recording; {nearest(part, PARTS[self.format])}")
+                raise ValueError(
+                    f"files: '{part}' is no part of a {self.format} recording; {nearest(part, PARTS[self.format])}"
+                )
         if self.format != "table" and (self.columns or self.mapping):
             raise ValueError(f"columns and mapping are for the format 'table', not '{self.format}'")
         if self.format == "navego" and self.start_s is not None:

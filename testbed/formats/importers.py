@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed import specs
 from testbed.errors import InputError
@@ -76,7 +77,10 @@ class Raw:
         t = parts["imu"]["time"]
         if len(t) < 3:
             raise InputError(f"{tables.folder}: imu has {len(t)} samples, at least 3 are needed")
-        gyro, accel = tables.block("imu", [f"gyro_{a}" for a in "xyz"]), tables.block("imu", [f"accel_{a}" for a in "xyz"])
+        gyro, accel = (
+            tables.block("imu", [f"gyro_{a}" for a in "xyz"]),
+            tables.block("imu", [f"accel_{a}" for a in "xyz"]),
+        )
         rate = spec["imu"] or ImuSpec("unknown", rate_hz=float(np.round(1.0 / np.median(np.diff(t)), 6)))
         if sampling == "instant":
             raw.t_start = float(t[0])
@@ -96,17 +100,23 @@ class Raw:
 
             named = [key for key in OPTIONAL["gnss"] if key in g]
             if named and len(named) < 6:
-                raise InputError(f"{tables.folder}: gnss has {', '.join(named)}, but not all of {', '.join(OPTIONAL['gnss'])}")
+                raise InputError(
+                    f"{tables.folder}: gnss has {', '.join(named)}, but not all of {', '.join(OPTIONAL['gnss'])}"
+                )
             std = tables.block("gnss", named) if named else None
             v_n = tables.block("gnss", ["v_north", "v_east", "v_down"])
-            self.gnss = GnssFixes(g["time"], g["lat"], g["lon"], g["alt"], v_n, spec["gnss"] or GnssSpec("unknown"), outages, std)
+            self.gnss = GnssFixes(
+                g["time"], g["lat"], g["lon"], g["alt"], v_n, spec["gnss"] or GnssSpec("unknown"), outages, std
+            )
             if std is not None:
                 self.stated.add("gnss")
         if "mag" in parts:
             field = tables.block("mag", ["mag_x", "mag_y", "mag_z"])
             self.mag = MagSamples(parts["mag"]["time"], field, spec["mag"] or MagSpec("unknown"))
         if "baro" in parts:
-            self.baro = BaroSamples(parts["baro"]["time"], parts["baro"]["pressure"], spec["baro"] or BaroSpec("unknown"))
+            self.baro = BaroSamples(
+                parts["baro"]["time"], parts["baro"]["pressure"], spec["baro"] or BaroSpec("unknown")
+            )
         if (r := parts.get("reference")) is not None:
             v_n = tables.block("reference", ["v_north", "v_east", "v_down"])
             self.motion = (r["time"], r["lat"], r["lon"], r["alt"], v_n, tables.quaternions())
@@ -126,7 +136,7 @@ def _finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Reco
         imu, t_start = cut_before(imu, t_start, config.start_s, place)
         gnss, initial = _after(gnss, t_start), None
     grid = np.concatenate([[t_start], imu.t])
-    reference = reference_on_grid(grid, *raw.motion, name=place) if raw.motion is not None else None
+    reference = reference_on_grid(grid, raw.motion, place) if raw.motion is not None else None
     if initial is None:
         aligned = align(config.initial, imu, gnss, samples["mag"], reference, t_start, place)
         imu, gnss, initial = aligned.imu, aligned.gnss, aligned.initial
@@ -151,7 +161,11 @@ def _respecify(config: RecordingConfig, folder: Path, kind: str, samples: Any) -
     if kind == "mag":
         changes |= {"declination": samples.spec.declination, "field_n": samples.spec.field_n}
     out = replace(samples, spec=replace(spec, **changes))
-    return replace(out, std=None) if kind == "gnss" and ("model" in config.gnss or "horizontal_sigma_m" in config.gnss) else out
+    return (
+        replace(out, std=None)
+        if kind == "gnss" and ("model" in config.gnss or "horizontal_sigma_m" in config.gnss)
+        else out
+    )
 
 
 def _after(samples: Any, t: float) -> Any:
@@ -159,7 +173,7 @@ def _after(samples: Any, t: float) -> Any:
     return None if samples is None else _select(samples, samples.t >= t - 1e-9)
 
 
-def _select(samples: Any, keep: Array) -> Any:
+def _select(samples: Any, keep: NDArray[np.bool_]) -> Any:
     changes = {key: value[keep] for key, value in vars(samples).items() if isinstance(value, np.ndarray)}
     return replace(samples, **changes)
 
@@ -169,7 +183,9 @@ def _cut(config: RecordingConfig, recording: Recording, place: str) -> Recording
     log, reference = recording.log, recording.reference
     end = np.inf if config.end_s is None else config.end_s + 1e-9
     if int((log.imu.t <= end).sum()) < 2:
-        raise InputError(f"{place}: end_s = {config.end_s} leaves no data; the recording begins at {log.initial.t:.6g} s")
+        raise InputError(
+            f"{place}: end_s = {config.end_s} leaves no data; the recording begins at {log.initial.t:.6g} s"
+        )
     if np.isfinite(end):
         kinds = {k: s for k in KINDS if (s := getattr(log, k)) is not None}
         log = replace(log, **{k: _select(s, s.t <= end) for k, s in kinds.items()})
@@ -182,7 +198,7 @@ def _cut(config: RecordingConfig, recording: Recording, place: str) -> Recording
     return Recording(log, reference)
 
 
-def _cut_trajectory(trajectory: Trajectory, keep: Array) -> Trajectory:
+def _cut_trajectory(trajectory: Trajectory, keep: NDArray[np.bool_]) -> Trajectory:
     extra = {key: values[keep] for key, values in trajectory.extra.items()}
     return replace(_select(trajectory, keep), extra=extra)
 
@@ -198,6 +214,9 @@ def _stored_initial(stored: dict[str, Any], folder: Path) -> InitialState | None
     if "initial" not in stored:
         return None
     try:
-        return InitialState(**{k: np.array(v, dtype=float) if isinstance(v, list) else float(v) for k, v in stored["initial"].items()})
+        values: dict[str, Any] = {
+            k: np.array(v) if isinstance(v, list) else float(v) for k, v in stored["initial"].items()
+        }
+        return InitialState(**values)
     except (TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder / 'log.json'}: initial: {error}") from None

@@ -151,7 +151,9 @@ def _imu(struct: Struct, sampling: str) -> ImuSamples:
         accel, gyro = accel[1:], gyro[1:]
     rate = float(np.round(1.0 / np.median(np.diff(t)), 6))
     stored = _stored_spec(struct, ImuSpec)
-    spec = stored or ImuSpec(_text(struct, "name") or f"navego {struct.name}", rate, _triad(struct, "g"), _triad(struct, "a"))
+    spec = stored or ImuSpec(
+        _text(struct, "name") or f"navego {struct.name}", rate, _triad(struct, "g"), _triad(struct, "a")
+    )
     return ImuSamples(t[1:], gyro, accel, spec)
 
 
@@ -210,18 +212,28 @@ def _baro(struct: Struct) -> BaroSamples:
 
 
 def _reference(struct: Struct, grid: Array) -> Trajectory:
-    t, lat, lon, h, v_n = struct.time(), struct.series("lat"), struct.series("lon"), struct.series("h"), struct.series("vel", 3)
+    t, lat, lon, h, v_n = (
+        struct.time(),
+        struct.series("lat"),
+        struct.series("lon"),
+        struct.series("h"),
+        struct.series("vel", 3),
+    )
     check_place(lat, lon, str(struct.path))
     if struct.has("q_nb"):
         q_nb = struct.series("q_nb", 4)
     else:
         q_nb = eulers_to_quats(np.column_stack([struct.series(k) for k in ("roll", "pitch", "yaw")]))
     if struct.has("f_b") and struct.has("w_ib_b"):
-        return Trajectory(t, lat, lon, h, v_n, q_nb, struct.series("f_b", 3), struct.series("w_ib_b", 3), name="reference")
-    return reference_on_grid(grid, t, lat, lon, h, v_n, q_nb, str(struct.path))
+        return Trajectory(
+            t, lat, lon, h, v_n, q_nb, struct.series("f_b", 3), struct.series("w_ib_b", 3), name="reference"
+        )
+    return reference_on_grid(grid, (t, lat, lon, h, v_n, q_nb), str(struct.path))
 
 
-def _initial(struct: Struct, imu: ImuSamples, gnss: GnssFixes | None, reference: Trajectory | None, start: str) -> Aligned:
+def _initial(
+    struct: Struct, imu: ImuSamples, gnss: GnssFixes | None, reference: Trajectory | None, start: str
+) -> Aligned:
     """Attitude from ini_align with ini_align_err; place from the first fix or the reference; biases zero, turn-on sigma."""
     if start not in ("gnss", "reference"):
         raise InputError(f"navego: start '{start}' is unknown; {nearest(start, ('gnss', 'reference'))}")
@@ -238,7 +250,9 @@ def _initial(struct: Struct, imu: ImuSamples, gnss: GnssFixes | None, reference:
         lat, lon, h, v_n, _ = reference_at(reference, t)
         motion_std = gnss.measurement_std()[0] if gnss is not None and len(gnss.t) else REFERENCE_STD[:6]
     else:
-        raise InputError(f'{struct.path.parent}: start = "{start}" needs a file {"gnss" if start == "gnss" else "ref"}.mat')
+        raise InputError(
+            f'{struct.path.parent}: start = "{start}" needs a file {"gnss" if start == "gnss" else "ref"}.mat'
+        )
     attitude_std = np.sqrt(np.array(euler_error_matrix(roll, pitch, yaw)) ** 2 @ euler_std**2)
     std = np.concatenate([motion_std, attitude_std, bias_std])
     return Aligned(imu, gnss, InitialState(t, lat, lon, h, v_n, q_nb, np.zeros(3), np.zeros(3), std))
@@ -266,6 +280,8 @@ def _stored_initial(struct: Struct) -> InitialState | None:
     x = check_finite(struct.numbers("ini_state").ravel(), struct.place("ini_state"))
     std = check_finite(struct.numbers("ini_std").ravel(), struct.place("ini_std"))
     if len(x) != 17 or len(std) != 15:
-        raise InputError(f"{struct.place('ini_state')} and ini_std have {len(x)} and {len(std)} values, expected 17 and 15")
+        raise InputError(
+            f"{struct.place('ini_state')} and ini_std have {len(x)} and {len(std)} values, expected 17 and 15"
+        )
     t, lat, lon, h = (float(v) for v in x[:4])
     return InitialState(t, lat, lon, h, x[4:7], x[7:11], x[11:14], x[14:17], std)

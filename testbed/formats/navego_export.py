@@ -26,7 +26,12 @@ def save_trajectory(trajectory: Trajectory, path: str | Path) -> None:
     euler = quats_to_eulers(trajectory.q_nb)
     angles = {name: _column(euler[:, i]) for i, name in enumerate(("roll", "pitch", "yaw"))}
     ref = {
-        **{"t": _column(trajectory.t), "lat": _column(trajectory.lat), "lon": _column(trajectory.lon), "h": _column(trajectory.h)},
+        **{
+            "t": _column(trajectory.t),
+            "lat": _column(trajectory.lat),
+            "lon": _column(trajectory.lon),
+            "h": _column(trajectory.h),
+        },
         **{"vel": trajectory.v_n, **angles, "DCMnb_m": quats_to_matrices(trajectory.q_nb).reshape(-1, 9)},
         **{"freq": 1.0 / trajectory.dt, "q_nb": trajectory.q_nb, "f_b": trajectory.f_b, "w_ib_b": trajectory.w_ib_b},
     }
@@ -56,7 +61,16 @@ def save_log(log: SensorLog, folder: str | Path, reference: Trajectory | None = 
 
 def _imu(imu: ImuSamples, initial: InitialState) -> dict[str, Any]:
     rate = imu.spec.rate_hz
-    state = [initial.t, initial.lat, initial.lon, initial.h, *initial.v_n, *initial.q_nb, *initial.accel_bias, *initial.gyro_bias]
+    state = [
+        initial.t,
+        initial.lat,
+        initial.lon,
+        initial.h,
+        *initial.v_n,
+        *initial.q_nb,
+        *initial.accel_bias,
+        *initial.gyro_bias,
+    ]
     return {
         "t": _column(np.concatenate([[initial.t], imu.t])),
         "fb": np.vstack([imu.accel[:1], imu.accel]),
@@ -92,8 +106,18 @@ def _gnss(gnss: GnssFixes, imu_rate: float) -> dict[str, Any]:
     std = np.sqrt(np.mean(every**2, axis=0)) if np.ptp(every, axis=0).any() else every[0]
     per_lat, per_lon = earth.metres_per_radian(gnss.lat[0], gnss.h[0]) if len(gnss.t) else (earth.A, earth.A)
     out: dict[str, Any] = {
-        **{"t": _column(gnss.t), "lat": _column(gnss.lat), "lon": _column(gnss.lon), "h": _column(gnss.h), "vel": gnss.v_n},
-        **{"std": np.array([[std[0] / per_lat, std[1] / per_lon, std[2]]]), "stdm": std[None, :3], "stdv": std[None, 3:]},
+        **{
+            "t": _column(gnss.t),
+            "lat": _column(gnss.lat),
+            "lon": _column(gnss.lon),
+            "h": _column(gnss.h),
+            "vel": gnss.v_n,
+        },
+        **{
+            "std": np.array([[std[0] / per_lat, std[1] / per_lon, std[2]]]),
+            "stdm": std[None, :3],
+            "stdv": std[None, 3:],
+        },
         **{"larm": np.array(gnss.spec.lever_arm_b)[:, None], "freq": gnss.spec.rate_hz, "eps": 1.0 / (3.0 * imu_rate)},
         **{"zupt_th": 0.0, "zupt_win": 4.0, "testbed_spec": _spec(gnss.spec)},
     }

@@ -43,7 +43,9 @@ def check_finite(values: Array, place: str) -> Array:
     finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
     if not finite.all():
         count = int((~finite).sum())
-        raise InputError(f"{place}: sample {int(np.argmin(finite))} is not a finite number ({count} such samples in all)")
+        raise InputError(
+            f"{place}: sample {int(np.argmin(finite))} is not a finite number ({count} such samples in all)"
+        )
     return values
 
 
@@ -51,7 +53,9 @@ def check_place(lat: Array, lon: Array, place: str) -> None:
     """Latitude within ±90° and longitude within ±360°, both rad; catches degrees given as radians and the reverse."""
     if len(lat) and np.abs(lat).max() > 0.5 * np.pi:
         k = int(np.argmax(np.abs(lat)))
-        raise InputError(f"{place}: latitude {np.degrees(lat[k]):.6g}° at sample {k} lies outside ±90° (degrees for radians?)")
+        raise InputError(
+            f"{place}: latitude {np.degrees(lat[k]):.6g}° at sample {k} lies outside ±90° (degrees for radians?)"
+        )
     if len(lon) and np.abs(lon).max() > 2.0 * np.pi:
         k = int(np.argmax(np.abs(lon)))
         raise InputError(f"{place}: longitude {np.degrees(lon[k]):.6g}° at sample {k} lies outside ±360°")
@@ -66,12 +70,13 @@ def existing(path: Path, what: str) -> Path:
     raise InputError(f"{path}: no such file (wanted for the {what}){found}")
 
 
-def reference_on_grid(grid: Array, t: Array, lat: Array, lon: Array, h: Array, v_n: Array, q_nb: Array, name: str) -> Trajectory:
-    """Recorded reference motion as a Trajectory on ``grid`` (as far as it reaches), with the implied IMU means.
+def reference_on_grid(grid: Array, motion: tuple[Array, ...], name: str) -> Trajectory:
+    """Recorded motion (t, lat, lon, h, v_n, q_nb) as a Trajectory on ``grid``, as far as it reaches.
 
     Rows that fall on the grid (to 1 ns) are kept as they are; else positions are cubic Hermite with the recorded
-    velocity, velocities linear, attitudes along the shortest arc.
+    velocity, velocities linear, attitudes along the shortest arc. ``f_b`` and ``w_ib_b`` are the implied IMU means.
     """
+    t, lat, lon, h, v_n, q_nb = motion
     inside = grid[(grid >= t[0] - 1e-9) & (grid <= t[-1] + 1e-9)]
     if len(inside) < 2:
         raise InputError(
@@ -83,7 +88,9 @@ def reference_on_grid(grid: Array, t: Array, lat: Array, lon: Array, h: Array, v
     return Trajectory(inside, lat, lon, h, v_n, q_nb, f_b, w_ib_b, name=name)
 
 
-def interpolate_motion(grid: Array, t: Array, lat: Array, lon: Array, h: Array, v_n: Array, q_nb: Array) -> tuple[Any, ...]:
+def interpolate_motion(
+    grid: Array, t: Array, lat: Array, lon: Array, h: Array, v_n: Array, q_nb: Array
+) -> tuple[Any, ...]:
     """lat, lon, h, v_n, q_nb at ``grid``: Hermite positions, linear velocities, shortest-arc attitudes."""
     from scipy.interpolate import CubicHermiteSpline
 

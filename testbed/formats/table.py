@@ -35,12 +35,14 @@ if TYPE_CHECKING:
 
 _XYZ, _NED = "xyz", ("north", "east", "down")
 _PLACE = {"lat": "angle", "lon": "angle", "alt": "length"} | {f"v_{a}": "speed" for a in _NED}
-_EULER = {name: "angle" for name in ("roll", "pitch", "yaw")}
+_EULER = dict.fromkeys(("roll", "pitch", "yaw"), "angle")
 _QUATERNION = {f"q_nb_{i}": "number" for i in range(4)}
 _STD = {f"std_{a}": "length" for a in _NED} | {f"std_v_{a}": "speed" for a in _NED}
 
 REQUIRED: dict[str, dict[str, str]] = {
-    "imu": {"time": "time"} | {f"gyro_{a}": "angular rate" for a in _XYZ} | {f"accel_{a}": "acceleration" for a in _XYZ},
+    "imu": {"time": "time"}
+    | {f"gyro_{a}": "angular rate" for a in _XYZ}
+    | {f"accel_{a}": "acceleration" for a in _XYZ},
     "gnss": {"time": "time"} | _PLACE,
     "mag": {"time": "time"} | {f"mag_{a}": "magnetic field" for a in _XYZ},
     "baro": {"time": "time", "pressure": "pressure"},
@@ -76,7 +78,9 @@ class Tables:
             q = self.block("reference", list(_QUATERNION))
             norm = np.linalg.norm(q, axis=1, keepdims=True)
             if (np.abs(norm - 1.0) > 1e-2).any():
-                raise InputError(f"{self.folder}: reference: q_nb at sample {int(np.argmax(np.abs(norm - 1)))} is no unit quaternion")
+                raise InputError(
+                    f"{self.folder}: reference: q_nb at sample {int(np.argmax(np.abs(norm - 1)))} is no unit quaternion"
+                )
             return np.where(np.abs(norm - 1.0) < 1e-12, q, q / norm)
         if all(name in table for name in _EULER):
             return eulers_to_quats(self.block("reference", list(_EULER)))
@@ -103,7 +107,7 @@ def read_mapping(path: Path) -> dict[str, str | dict[str, str]]:
     content = read_toml(path)
     columns = content.get("columns")
     if not isinstance(columns, dict) or set(content) != {"columns"}:
-        raise InputError(f"{path}: a mapping file has one table [columns] with lines such as \"wx\" = \"gyro_x_dps\"")
+        raise InputError(f'{path}: a mapping file has one table [columns] with lines such as "wx" = "gyro_x_dps"')
     return columns
 
 
@@ -162,11 +166,20 @@ def _check_mapping(columns: Mapping[str, str | dict[str, str]], folder: Path) ->
     for source, target in columns.items():
         if isinstance(target, dict):
             if source not in REQUIRED:
-                raise InputError(f"{folder}: columns.{source} is no part of a table recording; {nearest(source, REQUIRED)}")
+                raise InputError(
+                    f"{folder}: columns.{source} is no part of a table recording; {nearest(source, REQUIRED)}"
+                )
             _check_mapping(target, folder)
         elif not isinstance(target, str) or _stem(target.lstrip("-"), stems) is None:
-            known = {f"{stem}_{unit}" for part in REQUIRED.values() for stem, q in part.items() for unit in column_units.UNITS[q]}
-            raise InputError(f"{folder}: columns: \"{source}\" = \"{target}\" is no documented column; {nearest(str(target), known)}")
+            known = {
+                f"{stem}_{unit}"
+                for part in REQUIRED.values()
+                for stem, q in part.items()
+                for unit in column_units.UNITS[q]
+            }
+            raise InputError(
+                f'{folder}: columns: "{source}" = "{target}" is no documented column; {nearest(str(target), known)}'
+            )
 
 
 def _mapping_of(part: str, columns: Mapping[str, str | dict[str, str]]) -> dict[str, str]:
@@ -204,25 +217,30 @@ def _read_part(path: Path, part: str, mapping: dict[str, str], base: int | None)
         if stem == "time":
             out[stem], base = _time(values, factor, base, place)
         else:
-            out[stem] = check_finite(values.astype(np.float64) * (sign * factor) if sign * factor != 1.0 else values, place)
+            out[stem] = check_finite(
+                values.astype(np.float64) * (sign * factor) if sign * factor != 1.0 else values, place
+            )
     missing = [stem for stem in REQUIRED[part] if stem not in out]
     if missing:
         unit = next(iter(column_units.UNITS[REQUIRED[part][missing[0]]]))
         example = f"{missing[0]}_{unit}"
-        raise InputError(f"{path}: no column for {', '.join(missing)} (such as {example}); {nearest(example, map(str, frame.columns))}")
+        raise InputError(
+            f"{path}: no column for {', '.join(missing)} (such as {example}); {nearest(example, map(str, frame.columns))}"
+        )
     if "lat" in out:
         check_place(out["lat"], out["lon"], str(path))
     return out, base or 0
 
 
 def _read_frame(path: Path) -> pd.DataFrame:
-    import pandas as pd
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
 
     try:
-        if path.suffix == ".parquet":
-            return pd.read_parquet(path)
-        return pd.read_csv(path, float_precision="round_trip", skipinitialspace=True)
-    except (OSError, ValueError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        table = pa.parquet.read_table(path) if path.suffix == ".parquet" else pa.csv.read_csv(path)
+        return table.rename_columns([name.strip() for name in table.column_names]).to_pandas()
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable table ({str(error).splitlines()[0]})") from None
 
 

@@ -26,7 +26,13 @@ from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 IMU_TOPICS, GNSS_TOPICS = ("sensor_combined", "vehicle_imu"), ("vehicle_gps_position", "sensor_gps")
 MAG_TOPICS, BARO_TOPICS = ("vehicle_magnetometer", "sensor_mag"), ("vehicle_air_data", "sensor_baro")
 REFERENCE_TOPICS = ("vehicle_attitude", "vehicle_global_position", "vehicle_local_position")
-TOPICS = [*IMU_TOPICS, *GNSS_TOPICS, *MAG_TOPICS, *BARO_TOPICS, *(t + s for t in REFERENCE_TOPICS for s in ("", "_groundtruth"))]
+TOPICS = [
+    *IMU_TOPICS,
+    *GNSS_TOPICS,
+    *MAG_TOPICS,
+    *BARO_TOPICS,
+    *(t + s for t in REFERENCE_TOPICS for s in ("", "_groundtruth")),
+]
 
 DEFAULT_IMU = ImuSpec(
     name="PX4 autopilot IMU",
@@ -52,9 +58,7 @@ def read(folder: Path, files: Mapping[str, str], allow_truncated: bool = False) 
     topics = {(data.name, data.multi_id): data.data for data in log.data_list}
     imu_us, gyro, accel = _imu(path, topics)
     gnss_us, gnss = _gnss(path, topics, dict(log.initial_parameters))
-    first = int(np.searchsorted(imu_us, gnss_us[0], side="right")) - 1
-    if first < 0:
-        first = 0
+    first = max(int(np.searchsorted(imu_us, gnss_us[0], side="right")) - 1, 0)
     if len(imu_us) - first < 4:
         raise InputError(f"{path}: the IMU ends {(gnss_us[0] - imu_us[-1]) * 1e-6:.3g} s before the first GNSS fix")
     clock = _Clock(imu_us[first])
@@ -63,7 +67,11 @@ def read(folder: Path, files: Mapping[str, str], allow_truncated: bool = False) 
     rate = float(np.round(1.0 / np.median(np.diff(t)), 3))
     raw.imu = ImuSamples(t, gyro[first + 1 :], accel[first + 1 :], replace(DEFAULT_IMU, rate_hz=rate))
     keep = gnss_us >= imu_us[first]
-    raw.gnss = GnssFixes(clock.seconds(gnss_us[keep]), *(gnss[k][keep] for k in ("lat", "lon", "h", "v_n")), gnss["spec"], (), gnss["std"][keep])
+    raw.gnss = GnssFixes(
+        clock.seconds(gnss_us[keep]),
+        **{k: gnss[k][keep] for k in ("lat", "lon", "h", "v_n", "std")},
+        spec=gnss["spec"],
+    )
     raw.mag, raw.baro = _mag(path, topics, clock), _baro(path, topics, clock)
     raw.motion = _reference(path, topics, clock, gnss["undulation"])
     raw.stated = {"imu", "gnss", "mag", "baro"}
@@ -77,7 +85,7 @@ class _Clock:
         self.start = int(start_us)
 
     def seconds(self, us: Array) -> Array:
-        return (us.astype(np.int64) - self.start) * 1e-6
+        return np.asarray((us.astype(np.int64) - self.start) * 1e-6, dtype=np.float64)
 
 
 def _file(folder: Path, files: Mapping[str, str]) -> Path:
@@ -100,11 +108,15 @@ def _open(path: Path, allow_truncated: bool) -> Any:
     try:
         log = ULog(str(path), TOPICS, True)
     except Exception as error:  # pyulog raises anything from TypeError to struct.error on damaged files
-        raise InputError(f"{path}: not a readable ULog file, corrupt or truncated ({type(error).__name__}: {error})") from None
+        raise InputError(
+            f"{path}: not a readable ULog file, corrupt or truncated ({type(error).__name__}: {error})"
+        ) from None
     if log.file_corruption:
         raise InputError(f"{path}: corrupt: a message inside of the log cannot be read")
     if not complete and not allow_truncated:
-        raise InputError(f"{path}: truncated or corrupt: it does not end with a whole message; use what is there with allow_truncated = true")
+        raise InputError(
+            f"{path}: truncated or corrupt: it does not end with a whole message; use what is there with allow_truncated = true"
+        )
     return log
 
 
@@ -117,7 +129,9 @@ def _ends_on_message(path: Path) -> bool:
     return place == end
 
 
-def _topic(topics: Mapping[tuple[str, int], Topic], names: tuple[str, ...], fields: tuple[str, ...]) -> tuple[str, Topic] | None:
+def _topic(
+    topics: Mapping[tuple[str, int], Topic], names: tuple[str, ...], fields: tuple[str, ...]
+) -> tuple[str, Topic] | None:
     """The first topic (lowest instance) that has rows and all of ``fields``."""
     for name in names:
         for (found, _), data in sorted(topics.items(), key=lambda item: item[0][1]):
@@ -153,16 +167,26 @@ def _imu(path: Path, topics: Mapping[tuple[str, int], Topic]) -> tuple[Array, Ar
     if combined is not None:
         place, data = f"{path}: sensor_combined", combined[1]
         us, keep = _stamps(data, place)
-        span = data["gyro_integral_dt"].astype(np.float64)[keep] if "gyro_integral_dt" in data else np.diff(us, prepend=us[0]) * 1.0
-        found.append((us, _vector(data, "gyro_rad", place, keep), _vector(data, "accelerometer_m_s2", place, keep), span))
-    integrated = _topic(topics, ("vehicle_imu",), ("delta_angle[0]", "delta_velocity[0]", "delta_angle_dt", "delta_velocity_dt"))
+        span = (
+            data["gyro_integral_dt"].astype(np.float64)[keep]
+            if "gyro_integral_dt" in data
+            else np.diff(us, prepend=us[0]) * 1.0
+        )
+        found.append(
+            (us, _vector(data, "gyro_rad", place, keep), _vector(data, "accelerometer_m_s2", place, keep), span)
+        )
+    integrated = _topic(
+        topics, ("vehicle_imu",), ("delta_angle[0]", "delta_velocity[0]", "delta_angle_dt", "delta_velocity_dt")
+    )
     if integrated is not None:
         place, data = f"{path}: vehicle_imu", integrated[1]
         us, keep = _stamps(data, place)
         dt = {f: data[f].astype(np.float64)[keep] for f in ("delta_angle_dt", "delta_velocity_dt")}
         for name, values in dt.items():
             if (values <= 0.0).any():
-                raise InputError(f"{place}.{name}: sample {int(np.argmin(values))} is {values.min():g} µs, expected more than 0")
+                raise InputError(
+                    f"{place}.{name}: sample {int(np.argmin(values))} is {values.min():g} µs, expected more than 0"
+                )
         gyro = _vector(data, "delta_angle", place, keep) / (dt["delta_angle_dt"] * 1e-6)[:, None]
         accel = _vector(data, "delta_velocity", place, keep) / (dt["delta_velocity_dt"] * 1e-6)[:, None]
         found.append((us, gyro, accel, dt["delta_angle_dt"]))
@@ -173,7 +197,9 @@ def _imu(path: Path, topics: Mapping[tuple[str, int], Topic]) -> tuple[Array, Ar
     return best[0], best[1], best[2]
 
 
-def _gnss(path: Path, topics: Mapping[tuple[str, int], Topic], parameters: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
+def _gnss(
+    path: Path, topics: Mapping[tuple[str, int], Topic], parameters: Mapping[str, Any]
+) -> tuple[Array, dict[str, Any]]:
     found = _topic(topics, GNSS_TOPICS, ("fix_type", "vel_n_m_s"))
     if found is None:
         raise InputError(f"{path}: has neither of the GNSS topics {' and '.join(GNSS_TOPICS)}")
@@ -200,18 +226,28 @@ def _gnss(path: Path, topics: Mapping[tuple[str, int], Topic], parameters: Mappi
     eph, epv, speed = column("eph"), column("epv"), column("s_variance_m_s")
     std = np.maximum(np.column_stack([eph, eph, epv, speed, speed, speed]), LEAST_STD)
     typical = np.median(std, axis=0)
-    lever = tuple(float(parameters.get(f"EKF2_GPS_POS_{a}", 0.0) - parameters.get(f"EKF2_IMU_POS_{a}", 0.0)) for a in "XYZ")
+    x, y, z = (
+        float(parameters.get(f"EKF2_GPS_POS_{a}", 0.0) - parameters.get(f"EKF2_IMU_POS_{a}", 0.0)) for a in "XYZ"
+    )
     spec = GnssSpec(
         name=f"PX4 {name}",
         rate_hz=float(np.round(1e6 / np.median(np.diff(us[good])), 3)),
         horizontal_sigma=float(typical[0]),
         vertical_sigma=float(typical[2]),
         velocity_sigma=float(typical[3]),
-        lever_arm_b=lever,
+        lever_arm_b=(x, y, z),
         latency_s=float(parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3,
     )
     v_n = np.column_stack([column(f"vel_{a}_m_s") for a in "ned"])
-    out = {"lat": lat, "lon": lon, "h": mean_sea + undulation, "v_n": v_n, "std": std, "spec": spec, "undulation": undulation}
+    out = {
+        "lat": lat,
+        "lon": lon,
+        "h": mean_sea + undulation,
+        "v_n": v_n,
+        "std": std,
+        "spec": spec,
+        "undulation": undulation,
+    }
     return us[good], out
 
 
@@ -247,7 +283,9 @@ def _baro(path: Path, topics: Mapping[tuple[str, int], Topic], clock: _Clock) ->
     t = clock.seconds(us)
     rate = float(np.round(1.0 / np.median(np.diff(t)), 3))
     scale = 100.0 if np.median(pressure) < 2000.0 else 1.0
-    return BaroSamples(t, scale * pressure, BaroSpec(name=f"PX4 {name}", rate_hz=rate, noise_sigma=5.0, turn_on_bias=100.0, drift=1.0))
+    return BaroSamples(
+        t, scale * pressure, BaroSpec(name=f"PX4 {name}", rate_hz=rate, noise_sigma=5.0, turn_on_bias=100.0, drift=1.0)
+    )
 
 
 def _reference(
@@ -288,7 +326,9 @@ def _motion(
         if not globally.any():
             return None
         place_t, local_rows = local_t[globally], np.flatnonzero(local_keep)[globally]
-        lat, lon, h = _unproject({k: local[k][local_rows].astype(np.float64) for k in ("x", "y", "z", "ref_lat", "ref_lon", "ref_alt")})
+        lat, lon, h = _unproject(
+            {k: local[k][local_rows].astype(np.float64) for k in ("x", "y", "z", "ref_lat", "ref_lon", "ref_alt")}
+        )
     t = clock.seconds(us)
     inside = (t >= max(place_t[0], local_t[0])) & (t <= min(place_t[-1], local_t[-1]))
     if inside.sum() < 2:

@@ -15,19 +15,21 @@ import pandas as pd
 
 from testbed.report import geometry
 from testbed.report.headline import Headline
-from testbed.report.labels import DASHES, GROUPS, quantity_label, unit
-from testbed.report.results import Result
+from testbed.report.labels import DASHES, GROUPS, component_label, metric_label, quantity_label, unit
+from testbed.report.results import Result, thin
 
 Figure = dict[str, Any]
 Spans = Sequence[tuple[float, float]]
 Phases = Sequence[tuple[str, float, float]]
-POINTS = 900
+POINTS = 900  # per line
 INK = -1
 
 
-def ground_track(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], colours: Mapping[str, int], outages: Spans) -> Figure:
+def ground_track(
+    truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], colours: Mapping[str, int], outages: Spans
+) -> Figure:
     """North over east from the start, equal axes."""
-    truth = thin(truth)
+    truth = thin(truth, POINTS)
     east, north, _ = geometry.local(truth, truth)
     traces = []
     for k, (a, b) in enumerate(outages):
@@ -36,11 +38,13 @@ def ground_track(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], col
         look = {"width": 11}
         traces.append(_line(east[inside], north[inside], "no GNSS", meta, line=look, hoverinfo="skip"))
     for label, frame in estimates.items():
-        e, n, _ = geometry.local(thin(frame), truth)
+        e, n, _ = geometry.local(thin(frame, POINTS), truth)
         traces.append(_line(e, n, label, _meta(label, colours), line={"dash": _dash(colours[label]), "width": 1.6}))
     where = np.column_stack([truth["lat_deg"], truth["lon_deg"], truth["alt_m"], truth["time_s"]]).round(6).tolist()
     hover = "%{customdata[0]:.5f}°, %{customdata[1]:.5f}°<br>%{customdata[2]:.0f} m, %{customdata[3]:.1f} s<extra>truth</extra>"
-    traces.append(_line(east, north, "truth", {"colour": INK}, line={"width": 1.4}, customdata=where, hovertemplate=hover))
+    traces.append(
+        _line(east, north, "truth", {"colour": INK}, line={"width": 1.4}, customdata=where, hovertemplate=hover)
+    )
     start = {"size": 9, "symbol": "circle"}
     traces.append(_line(east[:1], north[:1], "start", {"colour": INK}, mode="markers", marker=start, hoverinfo="skip"))
     (x0, x1), (y0, y1) = geometry.map_limits(east, north)
@@ -50,7 +54,9 @@ def ground_track(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], col
     return {"data": traces, "layout": layout}
 
 
-def path_3d(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], colours: Mapping[str, int], outages: Spans) -> Figure:
+def path_3d(
+    truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], colours: Mapping[str, int], outages: Spans
+) -> Figure:
     """The flight in space, to be turned by hand; height is stretched where the flight is flat."""
     truth = thin(truth, 500)
     east, north, up = geometry.local(truth, truth)
@@ -68,24 +74,38 @@ def path_3d(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], colours:
     traces.append(_space(east, north, up, "truth", {"colour": INK}, 4))
     span = max(x1 - x0, y1 - y0)
     shape = {"x": (x1 - x0) / span, "y": (y1 - y0) / span, "z": max(0.3, (z1 - z0) / span)}
-    scene = {"aspectmode": "manual", "aspectratio": shape, "camera": {"eye": {"x": -1.0, "y": -1.15, "z": 0.75}}}
-    scene |= {"xaxis": {"title": {"text": "East, m"}, "range": [x0, x1]}, "yaxis": {"title": {"text": "North, m"}, "range": [y0, y1]}}
+    scene = {
+        "aspectmode": "manual",
+        "aspectratio": shape,
+        "camera": {"eye": {"x": -0.75, "y": -0.95, "z": 0.6}, "center": {"x": 0, "y": 0, "z": -0.12}},
+    }
+    scene |= {
+        "xaxis": {"title": {"text": "East, m"}, "range": [x0, x1]},
+        "yaxis": {"title": {"text": "North, m"}, "range": [y0, y1]},
+    }
     scene |= {"zaxis": {"title": {"text": "Height, m"}, "range": [z0, z1]}}
-    return {"data": traces, "layout": {"height": 520, "scene": scene, "showlegend": True, "margin": {"l": 0, "r": 0, "t": 10, "b": 0}}}
+    return {
+        "data": traces,
+        "layout": {"height": 520, "scene": scene, "showlegend": True, "margin": {"l": 0, "r": 0, "t": 10, "b": 0}},
+    }
 
 
 def error_traces(
-    errors: Mapping[str, pd.DataFrame], quantities: Sequence[str], colours: Mapping[str, int], outages: Spans, phases: Phases
+    errors: Mapping[str, pd.DataFrame],
+    quantities: Sequence[str],
+    colours: Mapping[str, int],
+    outages: Spans,
+    phases: Phases,
 ) -> Figure:
     """Error over time, one panel per quantity, with every estimator's three-sigma band (the page shows one at a time)."""
     traces = []
     for label, frame in errors.items():
-        lines, coarse = thin(frame), thin(frame, 300)
+        lines, coarse = thin(frame, POINTS), thin(frame, 300)
         for row, quantity in enumerate(quantities):
             axis = _axis(row)
             if f"sigma_{quantity}" in frame and coarse[f"sigma_{quantity}"].notna().any():
                 s = 3.0 * coarse[f"sigma_{quantity}"].to_numpy()
-                traces += _band(coarse["time_s"], -s, s, f"±3σ {label}", _meta(label, colours, band=label), axis)
+                traces.append(_band(coarse["time_s"], -s, s, f"±3σ {label}", _meta(label, colours, band=label), axis))
             dash = {"dash": _dash(colours[label]), "width": 1.3}
             traces.append(_line(lines["time_s"], lines[quantity], label, _meta(label, colours), axis, line=dash))
     return {"data": traces, "layout": _stacked(quantities, outages, phases, _ranges(errors, quantities))}
@@ -94,7 +114,7 @@ def error_traces(
 def envelopes(
     table: pd.DataFrame, quantities: Sequence[str], colours: Mapping[str, int], outages: Spans, phases: Phases
 ) -> Figure:
-    """Over the runs: RMS error (line), the filter's own mean sigma (dots), 5 to 95 % of the errors (band)."""
+    """Over the runs: 5 and 95 % of the errors and their mean; band: ±1.645 sigma, what the filter expects of those lines."""
     traces = []
     for label, by_label in table.groupby("estimator", sort=False):
         for row, quantity in enumerate(quantities):
@@ -102,10 +122,18 @@ def envelopes(
             if group.empty:
                 continue
             t, meta = group["time_s"], _meta(str(label), colours)
-            traces += _band(t, group["p05"], group["p95"], f"5 to 95 % {label}", meta | {"band": label}, axis)
-            traces.append(_line(t, group["rms"], f"{label}, RMS", meta, axis, line={"width": 1.6}))
-            traces.append(_line(t, group["sigma"], f"{label}, σ", meta, axis, line={"width": 1.3, "dash": "dot"}))
-    return {"data": traces, "layout": _stacked(quantities, outages, phases, [None] * len(quantities))}
+            if group["sigma"].notna().any():
+                s = 1.645 * group["sigma"]
+                traces.append(_band(t, -s, s, f"±1.645σ {label}", meta | {"band": label}, axis))
+            for column, name, dash in (("p05", "5 %", "solid"), ("p95", "95 %", "solid"), ("mean", "mean", "dot")):
+                traces.append(
+                    _line(t, group[column], f"{label}, {name}", meta, axis, line={"width": 1.3, "dash": dash})
+                )
+    ranges = _ranges(
+        {str(e): f.pivot(index="time_s", columns="quantity", values="rms") for e, f in table.groupby("estimator")},
+        quantities,
+    )
+    return {"data": traces, "layout": _stacked(quantities, outages, phases, ranges)}
 
 
 def spread(per_run: pd.DataFrame, metric: str, estimators: Sequence[str], colours: Mapping[str, int]) -> Figure:
@@ -131,9 +159,13 @@ def spread(per_run: pd.DataFrame, metric: str, estimators: Sequence[str], colour
         shown = chosen.head(400)
         height = y + shake.uniform(-0.18, 0.18, len(shown))
         dots = {"mode": "markers", "marker": {"size": 4, "opacity": 0.55}, "customdata": shown["run"].tolist()}
-        traces.append(_line(shown["value"], height, label, meta, hovertemplate="run %{customdata}: %{x:.4g}<extra></extra>", **dots))
+        traces.append(
+            _line(
+                shown["value"], height, label, meta, hovertemplate="run %{customdata}: %{x:.4g}<extra></extra>", **dots
+            )
+        )
     logarithmic = len(everything) > 0 and everything.min() > 0 and everything.max() > 30 * everything.min()
-    x = {"title": {"text": f"{_metric(metric)}, {unit(metric)}"}, "type": "log" if logarithmic else "linear"}
+    x = {"title": {"text": f"{metric_label(metric)}, {unit(metric)}"}, "type": "log" if logarithmic else "linear"}
     return {"data": traces, "layout": _categories(ticks, x)}
 
 
@@ -147,7 +179,9 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str], colours: Mapping
         y, dof = len(quantities) - 1 - row, float(group["dof"].iloc[0])
         low, high = group["lower"].iloc[0] / dof, group["upper"].iloc[0] / dof
         corners = ([low, high, high, low, low], [y - 0.42, y - 0.42, y + 0.42, y + 0.42, y - 0.42])
-        traces.append(_line(*corners, "95 % bounds", {"colour": "outage"}, fill="toself", line={"width": 0}, hoverinfo="skip"))
+        traces.append(
+            _line(*corners, "95 % bounds", {"colour": "outage"}, fill="toself", line={"width": 0}, hoverinfo="skip")
+        )
         for k, label in enumerate(estimators):
             if label not in group.index:
                 continue
@@ -176,38 +210,49 @@ def timings(table: pd.DataFrame, estimators: Sequence[str], colours: Mapping[str
     return {"data": traces, "layout": _categories(list(estimators), x, 34)}
 
 
-def innovations(frame: pd.DataFrame, label: str, colours: Mapping[str, int], names: Sequence[str], spans: Spans, phases: Phases) -> Figure:
+def innovations(
+    frame: pd.DataFrame, label: str, colours: Mapping[str, int], names: Sequence[str], spans: Spans, phases: Phases
+) -> Figure:
     """Innovations with their ±2 sqrt(S) band over time, and their histogram, one row per measurement channel."""
     channels = [c.removeprefix("nu_") for c in frame if c.startswith("nu_")][:9]
-    frame = thin(frame, 700)
+    frame = _open_gaps(thin(frame, 700))
     traces = []
     for row, channel in enumerate(channels):
         nu, s, meta = frame[f"nu_{channel}"].to_numpy(), frame[f"s_{channel}"].to_numpy(), {"colour": colours[label]}
         axis = _axis(row)
-        traces += _band(frame["time_s"], -2 * s, 2 * s, "±2√S", meta, axis)
+        traces.append(_band(frame["time_s"], -2 * s, 2 * s, "±2√S", meta, axis))
         dots = {"mode": "markers", "marker": {"size": 3}}
         traces.append(_line(frame["time_s"], nu, names[row], meta, axis, **dots))
         if np.isfinite(nu).any():
             counts, edges = np.histogram(nu[np.isfinite(nu)], bins=25)
             side = {"xaxis": f"x{20 + row}", "yaxis": axis["yaxis"]}
             steps = {"fill": "tozerox", "line": {"shape": "vh", "width": 1}, "hoverinfo": "skip"}
-            traces.append(_line(counts, (edges[1:] + edges[:-1]) / 2, "histogram", meta | {"fill": 0.28}, side, **steps))
+            traces.append(
+                _line(counts, (edges[1:] + edges[:-1]) / 2, "histogram", meta | {"fill": 0.28}, side, **steps)
+            )
     layout = _stacked(list(names[: len(channels)]), spans, phases, [None] * len(channels), height=105)
-    layout["xaxis"]["domain"] = [0, 0.82]
+    layout["xaxis"] |= {"domain": [0, 0.82], "range": [float(frame["time_s"].min()), float(frame["time_s"].max())]}
     for row in range(len(channels)):
-        layout[f"xaxis{20 + row}"] = {"domain": [0.85, 1], "anchor": _axis(row)["yaxis"], "showticklabels": False, "showgrid": False}
+        layout[f"xaxis{20 + row}"] = {
+            "domain": [0.85, 1],
+            "anchor": _axis(row)["yaxis"],
+            "showticklabels": False,
+            "showgrid": False,
+        }
     return {"data": traces, "layout": layout}
 
 
-def extras(frame: pd.DataFrame, outages: Spans, phases: Phases) -> Figure:
-    """What an estimator reports beside its state, one panel per name, one line per component."""
+def extras(frame: pd.DataFrame, outages: Spans, phases: Phases, components: Mapping[str, Sequence[str]]) -> Figure:
+    """What an estimator reports beside its state, one panel per name, one line per component (named where names are given)."""
     names = list(dict.fromkeys(frame["name"]))[:6]
-    traces = []
+    traces, shown = [], set[str]()
     for row, name in enumerate(names):
         for k, (component, group) in enumerate(frame[frame["name"] == name].groupby("component", sort=False)):
-            group, label = thin(group), str(component) if len(names) == 1 else f"{name.replace('_', ' ')} {component}"
+            group, label = thin(group, POINTS), component_label(component, k, components.get(name, ()))
             look = {"dash": DASHES[k % len(DASHES)], "width": 1.5}
-            traces.append(_line(group["time_s"], group["value"], label, {"colour": k, "shown": True}, _axis(row), line=look))
+            meta = {"colour": k, "shown": label not in shown}
+            shown.add(label)
+            traces.append(_line(group["time_s"], group["value"], label, meta, _axis(row), line=look))
     layout = _stacked([n.replace("_", " ") for n in names], outages, phases, [None] * len(names), height=210)
     return {"data": traces, "layout": layout | {"showlegend": True}}
 
@@ -230,11 +275,13 @@ def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
     per_run = result.per_run(metrics, lead.window).dropna(subset=["value"])
     if len(per_run):
         shown = [m for m in metrics if (per_run["metric"] == m).any()]
-        views = {_metric(m): spread(per_run, m, result.estimators, colours) for m in shown}
+        views = {metric_label(m): spread(per_run, m, result.estimators, colours) for m in shown}
         found["spread"] = {"views": views}
     table = result.envelopes.dropna(subset=["rms"])
     if len(table):
-        views = {g: envelopes(table, q, colours, spans, phases) for g, q in GROUPS.items() if table["quantity"].isin(q).any()}
+        views = {
+            g: envelopes(table, q, colours, spans, phases) for g, q in GROUPS.items() if table["quantity"].isin(q).any()
+        }
         found["envelopes"] = {"views": views, "band": lead.winner, "bands": list(dict.fromkeys(table["estimator"]))}
     if len(table := result.consistency.dropna(subset=["mean"])):
         found["consistency"] = {"views": {"": consistency(table, result.estimators, colours)}}
@@ -246,15 +293,22 @@ def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
         }
         found["innovations"] = {"views": views}
     if result.extras:
-        found["extras"] = {"views": {e: extras(f, spans, phases) for e, f in result.extras.items()}}
+        found["extras"] = {
+            "views": {e: extras(f, spans, phases, result.components(e)) for e, f in result.extras.items()}
+        }
     if len(result.timings):
         found["timings"] = {"views": {"": timings(result.timings, result.estimators, colours)}}
     return found
 
 
-def thin(frame: pd.DataFrame, points: int = POINTS) -> pd.DataFrame:
-    """Every k-th row, so that at most ``points`` remain."""
-    return frame.iloc[:: max(1, -(-len(frame) // points))]
+def _open_gaps(frame: pd.DataFrame) -> pd.DataFrame:
+    """An empty row in every gap of more than five sample intervals, so that bands do not run across."""
+    t = frame["time_s"].to_numpy()
+    if len(t) < 3:
+        return frame
+    gaps = np.flatnonzero(np.diff(t) > 5 * np.median(np.diff(t)))
+    empty = pd.DataFrame({"time_s": t[gaps] + 1e-3}).reindex(columns=frame.columns)
+    return pd.concat([frame, empty]).sort_values("time_s") if len(gaps) else frame
 
 
 def _channel_names(result: Result, label: str, frame: pd.DataFrame) -> list[str]:
@@ -271,8 +325,19 @@ def _meta(label: str, colours: Mapping[str, int], band: str = "") -> dict[str, A
     return meta | {"band": band} if band else meta
 
 
-def _line(x: Any, y: Any, name: str, meta: Mapping[str, Any], axis: Mapping[str, str] | None = None, **more: Any) -> Figure:
-    return {"type": "scatter", "mode": "lines", "x": _plain(x), "y": _plain(y), "name": name, "meta": meta, **(axis or {}), **more}
+def _line(
+    x: Any, y: Any, name: str, meta: Mapping[str, Any], axis: Mapping[str, str] | None = None, **more: Any
+) -> Figure:
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": _plain(x),
+        "y": _plain(y),
+        "name": name,
+        "meta": meta,
+        **(axis or {}),
+        **more,
+    }
 
 
 def _space(x: Any, y: Any, z: Any, name: str, meta: Mapping[str, Any], width: float) -> Figure:
@@ -284,10 +349,19 @@ def _space(x: Any, y: Any, z: Any, name: str, meta: Mapping[str, Any], width: fl
     }
 
 
-def _band(t: Any, low: Any, high: Any, name: str, meta: Mapping[str, Any], axis: Mapping[str, str]) -> list[Figure]:
-    look = {"hoverinfo": "skip", "line": {"width": 0}}
-    upper = _line(t, high, name, {**meta, "fill": 0.16, "edge": True}, axis, fill="tonexty", **look)
-    return [_line(t, low, name, {**meta, "edge": True}, axis, **look), upper]
+def _band(t: Any, low: Any, high: Any, name: str, meta: Mapping[str, Any], axis: Mapping[str, str]) -> Figure:
+    """A filled polygon between two lines, one per stretch without missing values."""
+    t, low, high = (np.asarray(v, dtype=float) for v in (t, low, high))
+    known = np.isfinite(low) & np.isfinite(high)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    x, y = [], []
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        x += [t[start:end], t[start:end][::-1], [np.nan]]
+        y += [low[start:end], high[start:end][::-1], [np.nan]]
+    outline = np.concatenate(x or [[]]), np.concatenate(y or [[]])
+    return _line(
+        *outline, name, {**meta, "fill": 0.16, "edge": True}, axis, fill="toself", hoverinfo="skip", line={"width": 0}
+    )
 
 
 def _stacked(names: Sequence[str], outages: Spans, phases: Phases, ranges: Sequence[Any], height: int = 170) -> Figure:
@@ -316,7 +390,12 @@ def _stacked(names: Sequence[str], outages: Spans, phases: Phases, ranges: Seque
 
 def _categories(names: Sequence[str], x: Figure, row_height: int = 62) -> Figure:
     count = len(names)
-    y = {"tickvals": list(range(count)), "ticktext": list(reversed(names)), "range": [-0.6, count - 0.4], "zeroline": False}
+    y = {
+        "tickvals": list(range(count)),
+        "ticktext": list(reversed(names)),
+        "range": [-0.6, count - 0.4],
+        "zeroline": False,
+    }
     return {"height": 90 + row_height * count, "hovermode": "closest", "xaxis": x, "yaxis": y | {"automargin": True}}
 
 
@@ -331,12 +410,6 @@ def _ranges(errors: Mapping[str, pd.DataFrame], quantities: Sequence[str]) -> li
         good = max(s for s in sizes if s <= 10 * sizes[0])
         found.append([-2.0 * good, 2.0 * good])
     return found
-
-
-def _metric(metric: str) -> str:
-    from testbed.report.labels import metric_label
-
-    return metric_label(metric)
 
 
 def _axis(row: int) -> dict[str, str]:

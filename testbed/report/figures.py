@@ -15,14 +15,16 @@ import pandas as pd
 
 from testbed.report import geometry
 from testbed.report.headline import headline
-from testbed.report.labels import COLOURS, GROUPS, quantity_label, unit
-from testbed.report.results import Result
+from testbed.report.labels import COLOURS, GROUPS, component_label, quantity_label, unit
+from testbed.report.results import Result, thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 WIDTH = 6.3  # inches: the text width of an A4 page
+POINTS = 700  # per line: about one per pixel of the printed width
+MOST_EXTRAS = 3
 DASHES = ["-", "--", ":", "-.", (0, (6, 1.5)), (0, (4, 1, 1, 1, 1, 1))]
 STYLE: dict[str, Any] = {
     "font.size": 8,
@@ -30,6 +32,7 @@ STYLE: dict[str, Any] = {
     "axes.spines.right": False,
     "axes.linewidth": 0.6,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.linewidth": 0.4,
     "grid.color": "#dddddd",
     "legend.frameon": False,
@@ -58,7 +61,7 @@ def ground_track(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], out
     ax.plot(east[:1], north[:1], "o", color="black", ms=5, label="start")
     (x0, x1), (y0, y1) = geometry.map_limits(east, north)
     ax.set(xlabel="East, m", ylabel="North, m", xlim=(x0, x1), ylim=(y0, y1))
-    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_aspect("equal", adjustable="box")
     _legend(figure, ax)
     return figure
 
@@ -71,20 +74,24 @@ def path_3d(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame]) -> Figur
     (x0, x1), (y0, y1) = geometry.map_limits(east, north)
     z0, z1 = geometry.height_limits(up)
     for k, (label, frame) in enumerate(estimates.items()):
-        e, n, u = geometry.local(frame, truth, every=4)
+        e, n, u = geometry.local(frame, truth)
         u = np.where((u < z0) | (u > z1), np.nan, u)
         ax.plot(e, n, u, color=COLOURS[k % len(COLOURS)][0], ls=DASHES[k % len(DASHES)], label=label)
-    ax.plot(east[::4], north[::4], up[::4], color="black", lw=0.8, label="truth")
+    ax.plot(east, north, up, color="black", lw=0.8, label="truth")
     ax.set(xlabel="East, m", ylabel="North, m", zlabel="Height, m", xlim=(x0, x1), ylim=(y0, y1), zlim=(z0, z1))
     span = max(x1 - x0, y1 - y0)
-    ax.set_box_aspect(((x1 - x0) / span, (y1 - y0) / span, max(0.25, (z1 - z0) / span)))
+    ax.set_box_aspect(((x1 - x0) / span, (y1 - y0) / span, max(0.25, (z1 - z0) / span)), zoom=1.15)
     ax.locator_params(nbins=5)
     _legend(figure, ax)
     return figure
 
 
 def error_traces(
-    errors: Mapping[str, pd.DataFrame], quantities: Sequence[str], outages: Spans = (), phases: Phases = (), band: str = ""
+    errors: Mapping[str, pd.DataFrame],
+    quantities: Sequence[str],
+    outages: Spans = (),
+    phases: Phases = (),
+    band: str = "",
 ) -> Figure:
     """Error over time of one flight, one panel per quantity; the three-sigma band of the estimator named ``band``."""
     figure = _figure(1.15 * len(quantities) + 0.8)
@@ -175,6 +182,8 @@ def envelopes(table: pd.DataFrame, quantities: Sequence[str], outages: Spans = (
 
 def consistency(table: pd.DataFrame, estimators: Sequence[str]) -> Figure:
     """Mean NEES and NIS divided by their expected value, with the 95 % chi-square bounds."""
+    from matplotlib.ticker import LogLocator
+
     quantities = list(dict.fromkeys(table["quantity"]))
     figure = _figure(1.0 + 0.16 * len(estimators) * len(quantities))
     bottom = 0.42 / figure.get_figheight()
@@ -184,7 +193,9 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str]) -> Figure:
         group = table[table["quantity"] == quantity].set_index("estimator")
         first = group.iloc[0]
         low, high = first["lower"] / first["dof"], first["upper"] / first["dof"]
-        ax.fill_betweenx([row - 0.42, row + 0.42], low, high, color="#dddddd", lw=0, label="95 % bounds" if not row else None)
+        ax.fill_betweenx(
+            [row - 0.42, row + 0.42], low, high, color="#dddddd", lw=0, label="95 % bounds" if not row else None
+        )
         for k, label in enumerate(estimators):
             if label in group.index:
                 y = row + (k - (len(estimators) - 1) / 2) * step
@@ -193,6 +204,7 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str]) -> Figure:
     ax.axvline(1.0, color="black", lw=0.6)
     ax.set_yticks(range(len(quantities)), [quantity_label(q) for q in quantities])
     ax.set(xlabel="mean divided by its expected value (1 = consistent)", xscale="log")
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_formatter("")
     ax.invert_yaxis()
@@ -200,41 +212,63 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str]) -> Figure:
     return figure
 
 
-def extras(table: pd.DataFrame, label: str, outages: Spans = (), phases: Phases = ()) -> Figure:
+def extras(
+    table: pd.DataFrame,
+    label: str,
+    outages: Spans = (),
+    phases: Phases = (),
+    components: Mapping[str, Sequence[str]] | None = None,
+) -> Figure:
     """What an estimator reports beside its state (mode probabilities, network outputs), one panel per name."""
     names = list(dict.fromkeys(table["name"]))[:4]
     figure = _figure(1.3 * len(names) + 0.8)
     axes = _panels(figure, len(names))
     for ax, name in zip(axes, names, strict=True):
         for k, (component, group) in enumerate(table[table["name"] == name].groupby("component", sort=False)):
-            ax.plot(group["time_s"], group["value"], color=COLOURS[k % len(COLOURS)][0], label=str(component))
+            ax.plot(
+                group["time_s"],
+                group["value"],
+                color=COLOURS[k % len(COLOURS)][0],
+                label=component_label(component, k, (components or {}).get(name, ())),
+            )
         ax.set_ylabel(name.replace("_", " "))
     _shade(axes, outages, phases)
-    _legend(figure, axes[0], title=label)
+    figure.text(0.11, 1 - 0.18 / figure.get_figheight(), label)
+    _legend(figure, axes[0])
     return figure
 
 
 def build(result: Result) -> dict[str, tuple[Figure, str]]:
     """Every figure that the result has data for: name -> (figure, caption)."""
     lead = headline(result)
-    estimates = {label: result.errors[label] for label in result.estimators if label in result.errors}
+    estimates = {label: thin(result.errors[label], POINTS) for label in result.estimators if label in result.errors}
     spans, phases = result.outages, result.phases
     drawn: dict[str, tuple[Figure, str]] = {}
     if len(result.truth) and estimates:
-        drawn["ground_track"] = ground_track(result.truth, estimates, spans), "Ground track of run 0; broad grey: no GNSS."
-        drawn["path_3d"] = path_3d(result.truth, estimates), "Path of run 0 in space."
+        truth = thin(result.truth, POINTS)
+        drawn["ground_track"] = ground_track(truth, estimates, spans), "Ground track of run 0; broad grey: no GNSS."
+        drawn["path_3d"] = path_3d(truth, estimates), "Path of run 0 in space."
     for group, quantities in GROUPS.items():
         have = {e: f for e, f in estimates.items() if f[quantities].notna().any(axis=None)}
         if have:
             figure = error_traces(have, quantities, spans, phases, lead.winner)
-            drawn[f"error_{group.lower()}"] = figure, f"{group} error of run 0 with ±3σ of {lead.winner}; shaded: no GNSS."
+            drawn[f"error_{group.lower()}"] = (
+                figure,
+                f"{group} error of run 0 with ±3σ of {lead.winner}; shaded: no GNSS.",
+            )
     if result.estimators:
-        drawn["rmse"] = rmse_bars(result.summary, result.estimators, lead.window), "Mean RMSE over the runs with 95 % intervals."
+        drawn["rmse"] = (
+            rmse_bars(result.summary, result.estimators, lead.window),
+            "Mean RMSE over the runs with 95 % intervals.",
+        )
     metrics = ["rmse_position_3d_m", "rmse_velocity_3d_mps", "rmse_attitude_deg"]
     per_run = result.per_run(metrics, lead.window).dropna(subset=["value"])
     if len(per_run):
         shown = [m for m in metrics if (per_run["metric"] == m).any()]
-        drawn["monte_carlo"] = spread(per_run, result.estimators, shown), "Spread over the runs: median, quartiles, 5 and 95 %."
+        drawn["monte_carlo"] = (
+            spread(per_run, result.estimators, shown),
+            "Spread over the runs: median, quartiles, 5 and 95 %.",
+        )
     table = result.envelopes.dropna(subset=["rms"])
     if len(table):
         group = "Position" if table["quantity"].isin(GROUPS["Position"]).any() else "Attitude"
@@ -242,9 +276,12 @@ def build(result: Result) -> dict[str, tuple[Figure, str]]:
         drawn["envelope"] = envelopes(table, GROUPS[group], spans, phases), caption
     if len(table := result.consistency.dropna(subset=["mean"])):
         drawn["consistency"] = consistency(table, result.estimators), "NEES and NIS relative to their expected value."
-    for label, frame in result.extras.items():
+    for label, frame in list(result.extras.items())[:MOST_EXTRAS]:
         slug = result.info["estimators"][label]
-        drawn[f"extras_{slug}"] = extras(frame, label, spans, phases), f"Beside the state, {label}, run 0."
+        drawn[f"extras_{slug}"] = (
+            extras(frame, label, spans, phases, result.components(label)),
+            f"Beside the state, {label}, run 0.",
+        )
     return drawn
 
 
@@ -293,7 +330,9 @@ def _shade(axes: Sequence[Axes], outages: Spans, phases: Phases) -> None:
     for name, start, end in phases:
         if (end - start) / span > 0.017 * len(name):
             where = {"ha": "center", "va": "bottom", "fontsize": 6, "color": "#666666"}
-            axes[0].text((start + end) / 2, 1.01, name.replace("_", " "), transform=axes[0].get_xaxis_transform(), **where)
+            axes[0].text(
+                (start + end) / 2, 1.01, name.replace("_", " "), transform=axes[0].get_xaxis_transform(), **where
+            )
 
 
 def _squeeze(ax: Axes, series: Sequence[np.ndarray], signed: bool = True) -> None:
@@ -306,10 +345,10 @@ def _squeeze(ax: Axes, series: Sequence[np.ndarray], signed: bool = True) -> Non
         ax.set_ylim(-top if signed else 0.0, top)
 
 
-def _legend(figure: Figure, ax: Axes, title: str | None = None) -> None:
+def _legend(figure: Figure, ax: Axes) -> None:
     handles, labels = ax.get_legend_handles_labels()
     unique = dict(zip(reversed(labels), reversed(handles), strict=True))
     names = [name for name in dict.fromkeys(labels) if name]
     figure.legend(
-        [unique[n] for n in names], names, loc="upper right", bbox_to_anchor=(0.99, 1.0), ncols=min(6, len(names)), title=title
+        [unique[n] for n in names], names, loc="upper right", bbox_to_anchor=(0.99, 1.0), ncols=min(7, len(names))
     )

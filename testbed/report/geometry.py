@@ -14,15 +14,14 @@ from testbed.earth import principal_radii
 Array = NDArray[np.float64]
 
 
-def local(frame: pd.DataFrame, origin: pd.DataFrame, every: int = 1) -> tuple[Array, Array, Array]:
-    """East and north (m) from the first row of ``origin``, and height (m), of every ``every``-th row of ``frame``."""
+def local(frame: pd.DataFrame, origin: pd.DataFrame) -> tuple[Array, Array, Array]:
+    """East and north (m) from the first row of ``origin``, and height (m), of every row of ``frame``."""
     lat0, lon0, alt0 = (float(origin[c].iloc[0]) for c in ("lat_deg", "lon_deg", "alt_m"))
     meridian, normal = principal_radii(np.radians(lat0))
-    rows = frame.iloc[::every]
-    turn = (rows["lon_deg"].to_numpy() - lon0 + 180.0) % 360.0 - 180.0
-    north = np.radians(rows["lat_deg"].to_numpy() - lat0) * (meridian + alt0)
+    turn = (frame["lon_deg"].to_numpy() - lon0 + 180.0) % 360.0 - 180.0
+    north = np.radians(frame["lat_deg"].to_numpy() - lat0) * (meridian + alt0)
     east = np.radians(turn) * (normal + alt0) * np.cos(np.radians(lat0))
-    return east, north, rows["alt_m"].to_numpy()
+    return east, north, frame["alt_m"].to_numpy()
 
 
 def map_limits(east: Array, north: Array) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -19,6 +19,7 @@ from testbed.report.charts import charts
 from testbed.report.headline import headline
 from testbed.report.labels import COLOURS, window_label
 from testbed.report.results import Result
+from testbed.report.sensors import sensor_tables
 from testbed.report.text import comparison_windows
 
 ASSETS = resources.files("testbed.report") / "assets"
@@ -38,7 +39,7 @@ def page(result: Result) -> str:
         failures=tables.failures(result),
         consistency=tables.consistency(result),
         timings=tables.timings(result),
-        sensors=tables.sensors(result),
+        sensors=sensor_tables(result),
         provenance=provenance.rows(result),
         command=provenance.command(result),
         findings=markdown(result.findings),

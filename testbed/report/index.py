@@ -38,7 +38,9 @@ def write_index(dirs: list[Path], out: Path) -> Path:
     entries = [_entry(load_result(folder), page.parent) for folder in dirs]
     totals = {kind: sum(entry.verdicts[kind] for entry in entries) for kind in KINDS}
     values = {"entries": entries, "kinds": KINDS, "totals": totals}
-    text = html.template("index.html.j2").render(style=html.asset("report.css"), script=html.asset("index.js"), **values)
+    text = html.template("index.html.j2").render(
+        style=html.asset("report.css"), script=html.asset("index.js"), **values
+    )
     page.write_text(text, encoding="utf-8")
     page.with_suffix(".md").write_text(_markdown(entries), encoding="utf-8")
     return page
@@ -52,7 +54,10 @@ def _entry(result: Result, start: Path) -> Entry:
 
 
 def _markdown(entries: list[Entry]) -> str:
-    lines = ["| Scenario | Headline | " + " | ".join(KINDS.values()) + " | runs |", "| :--- | :--- |" + " ---: |" * (len(KINDS) + 1)]
+    lines = [
+        "| Scenario | Headline | " + " | ".join(KINDS.values()) + " | runs |",
+        "| :--- | :--- |" + " ---: |" * (len(KINDS) + 1),
+    ]
     for e in entries:
         counts = " | ".join(str(e.verdicts[kind]) for kind in KINDS)
         lines.append(f"| [{e.title}]({e.link}) | {e.sentence} | {counts} | {e.runs} |")

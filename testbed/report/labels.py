@@ -7,7 +7,7 @@ Colours: Okabe and Ito (2008), a palette that stays distinct under the common co
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 QUANTITIES: dict[str, tuple[str, str]] = {
     "north_m": ("North", "m"),
@@ -111,17 +111,22 @@ def percent(value: object) -> str:
     return (f"{x:.1f}" if abs(x) < 100 else f"{x:.0f}").replace("-", "−")
 
 
-def colour_index(estimators: Iterable[str]) -> dict[str, int]:
-    return {label: k for k, label in enumerate(estimators)}
+def component_label(component: object, position: int, names: Sequence[str]) -> str:
+    """The component's name where names are given; else its number, counted from 1."""
+    if position < len(names):
+        return str(names[position])
+    return component if isinstance(component, str) else str(position + 1)
 
 
 def verdict_kind(verdict: object) -> str:
     """``good``, ``part``, ``bad`` or ``open``: how a verdict is coloured. The word itself always stands beside it."""
     text = str(verdict).lower()
-    if text.startswith(("not ", "contradict", "refut", "fail", "no ", "opposite")):
+    if any(word in text for word in ("not tested", "inconclusive", "nan")):
+        return "open"
+    if text.startswith(("not ", "reversed", "contradict")):
         return "bad"
-    if any(word in text for word in ("part", "weak", "direction", "smaller")):
+    if any(word in text for word in ("part", "direction")):
         return "part"
-    if text.startswith(("reproduced", "confirmed", "supported", "yes", "holds", "stronger", "exceed")):
+    if text.startswith("reproduced"):
         return "good"
     return "open"

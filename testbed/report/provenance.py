@@ -5,40 +5,37 @@ Read from ``manifest.json`` and ``scenario.toml``. Times are UTC as the runner w
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from typing import Any
 
 from testbed.report.results import Result
 
-HIDDEN = {"command", "argv", "timings"}
+HIDDEN = {"command", "kind", "identity", "format", "finished", "jobs"}
 
 
 def rows(result: Result) -> list[tuple[str, str]]:
-    """(name, value) pairs, nested entries joined by a dot."""
-    monte_carlo = result.scenario.get("monte_carlo", {})
+    """(name, value) pairs of the manifest that have a value."""
     found = [("scenario", result.name), ("runs", str(result.run_count))]
-    found += [(key, str(monte_carlo[key])) for key in ("seed",) if key in monte_carlo]
     names = {name for name, _ in found}
     for key, value in result.manifest.items():
         if key in HIDDEN or key in names:
             continue
-        if isinstance(value, Mapping):
-            found.append((key.replace("_", " "), ", ".join(f"{k} {_plain(v)}" for k, v in value.items())))
-        else:
-            found.append((key.replace("_", " "), _plain(value)))
+        text = ", ".join(f"{k} {_plain(v)}" for k, v in value.items()) if isinstance(value, Mapping) else _plain(value)
+        found.append((key.replace("_", " "), text))
     return [(name, value) for name, value in found if value]
 
 
 def command(result: Result) -> str:
     """The command line that regenerates the result."""
-    given = result.manifest.get("command") or result.manifest.get("argv")
-    if isinstance(given, (list, tuple)):
-        return " ".join(str(part) for part in given)
-    if given:
-        return str(given)
-    monte_carlo = result.scenario.get("monte_carlo", {})
-    seed = f" --seed {monte_carlo['seed']}" if "seed" in monte_carlo else ""
-    return f"testbed run scenario.toml --runs {result.run_count}{seed} --out DIR"
+    manifest, settings = result.manifest, result.scenario.get("monte_carlo", {})
+    if manifest.get("command"):
+        return str(manifest["command"])
+    words = ["testbed run", shlex.quote(result.name)]
+    words += [f"--{key} {shlex.quote(str(manifest[key]))}" for key in ("variant", "profile") if manifest.get(key)]
+    words += [f"--plugin {shlex.quote(str(name))}" for name in manifest.get("plugins", [])]
+    words += [f"--runs {result.run_count}", *([f"--seed {settings['seed']}"] if "seed" in settings else [])]
+    return " ".join([*words, f"--out {shlex.quote(result.folder.name)}"])
 
 
 def _plain(value: Any) -> str:

@@ -23,15 +23,16 @@ CSV_COLUMNS = {
     "timings": "estimator samples median_us min_us",
     "claims": "id text paper_pct measured_pct ci_low ci_high verdict",
     "consistency": "estimator quantity dof n_runs mean lower upper share_inside",
+    "claims-timings": "id text paper_pct measured_pct ci_low ci_high verdict",
     "improvements": "estimator baseline window metric improvement_pct ci_low ci_high p_value",
 }
 PARQUET_COLUMNS = {
-    "runs": "run estimator status seconds",
+    "runs": "run estimator status seconds reason",
     "envelopes": "estimator time_s quantity mean p05 p95 rms sigma",
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Result:
     """One result folder. ``errors``, ``innovations`` and ``extras`` map an estimator's label to run 0's table."""
 
@@ -66,9 +67,11 @@ class Result:
         return sorted(names, key=lambda name: name != "all")
 
     @cached_property
-    def means(self) -> pd.DataFrame:
-        """The summary indexed by (window, metric, estimator)."""
-        return self.summary.set_index(["window", "metric", "estimator"]).sort_index()
+    def means(self) -> dict[tuple[str, str, str], dict[str, float]]:
+        """(window, metric, estimator) -> mean, median, ci_low, ci_high."""
+        keys = zip(*(self.summary[c] for c in ("window", "metric", "estimator")), strict=True)
+        values = self.summary[["mean", "median", "ci_low", "ci_high"]].astype(float).to_dict("records")
+        return dict(zip(keys, values, strict=True))
 
     @property
     def head(self) -> Mapping[str, Any]:
@@ -99,6 +102,10 @@ class Result:
     def run_count(self) -> int:
         return int(self.runs["run"].nunique()) if len(self.runs) else int(self.manifest.get("runs", 0) or 0)
 
+    def components(self, label: str) -> dict[str, list[str]]:
+        """Names of the components of an estimator's extras, where ``info.json`` has them (``components``)."""
+        return dict(self.info.get("components", {}).get(label, {}))
+
     def per_run(self, metrics: list[str], window: str) -> pd.DataFrame:
         """Rows of ``metrics.parquet``: run, estimator, window, metric, value. Only what is asked for is read."""
         path = self.folder / "metrics.parquet"
@@ -112,10 +119,14 @@ def load_result(folder: str | Path) -> Result:
     folder = Path(folder)
     for needed in ("manifest.json", "summary.csv"):
         if not (folder / needed).is_file():
-            raise InputError(f"{folder}: no result folder ('{needed}' is missing); `testbed run SCENARIO --out DIR` makes one")
+            raise InputError(
+                f"{folder}: no result folder ('{needed}' is missing); `testbed run SCENARIO --out DIR` makes one"
+            )
     try:
         tables = {k: _read(folder / f"{k}.csv", names) for k, names in CSV_COLUMNS.items()}
         tables |= {k: _read(folder / f"{k}.parquet", names) for k, names in PARQUET_COLUMNS.items()}
+        timed = tables.pop("claims-timings")
+        tables["claims"] = pd.concat([tables["claims"], timed], ignore_index=True) if len(timed) else tables["claims"]
         scenario_file = folder / "scenario.toml"
         scenario = tomllib.loads(scenario_file.read_text("utf-8")) if scenario_file.exists() else {}
         details = _load_details(folder / "details")
@@ -125,6 +136,11 @@ def load_result(folder: str | Path) -> Result:
     findings = next((p for p in (folder / "findings.md",) if p.is_file()), None)
     text = findings.read_text("utf-8") if findings else ""
     return Result(folder=folder, manifest=manifest, scenario=scenario, findings=text, **tables, **details)
+
+
+def thin(frame: pd.DataFrame, points: int) -> pd.DataFrame:
+    """Every k-th row, so that at most ``points`` remain."""
+    return frame.iloc[:: max(1, -(-len(frame) // points))]
 
 
 def _read(path: Path, columns: str) -> pd.DataFrame:

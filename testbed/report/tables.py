@@ -7,12 +7,10 @@ Units stand in the column heads.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
-
-import pandas as pd
 
 from testbed.report.labels import (
     MISSING,
@@ -30,6 +28,11 @@ COMPARED = (
     "rmse_north_m rmse_east_m rmse_down_m rmse_position_3d_m max_position_3d_m final_position_3d_m rmse_velocity_3d_mps "
     "rmse_roll_deg rmse_pitch_deg rmse_yaw_deg rmse_attitude_deg"
 ).split()
+NOT_PRINTED = -1
+"""Stands in a scenario's table where the paper has no figure."""
+REASONS = 4
+"""Most frequent reasons shown per estimator."""
+COSTS = ("us_per_sample", "seconds")
 SHORT = {
     "rmse_north_m": "North",
     "rmse_east_m": "East",
@@ -77,7 +80,6 @@ class Table:
     rows: list[tuple[str, list[Cell]]]
     note: str = ""
     corner: str = "Estimator"
-    extra: dict[str, Any] = field(default_factory=dict)
 
 
 def comparison(result: Result, window: str) -> Table:
@@ -90,9 +92,9 @@ def comparison(result: Result, window: str) -> Table:
     columns = [Column(SHORT[m], unit(m), title=metric_label(m)) for m in metrics]
     counts = sorted({int(n) for n in result.summary.loc[result.summary["window"] == window, "n"].dropna()})
     over = f"{counts[0]} to {counts[-1]} runs" if len(counts) > 1 else f"{counts[0]} runs" if counts else "no runs"
-    note = f"RMSE over the {window_label(window)} unless the head says otherwise; mean over {over} with its 95 % interval."
-    if window.startswith(("phase", "outage")) or window not in ("all",):
-        note = f"RMSE in the window “{window_label(window)}”; mean over {over} with its 95 % interval."
+    note = (
+        f"RMSE ({window_label(window)}) unless the head says otherwise: mean over {over}. Best of each column in bold."
+    )
     return Table(f"comparison-{window}", f"Errors, {window_label(window)}", columns, rows, note)
 
 
@@ -114,7 +116,7 @@ def claims(result: Result) -> Table | None:
         cells = [
             Cell(str(claim["text"])),
             Cell(percent(claim["paper_pct"]), _value(claim["paper_pct"])),
-            Cell(percent(claim["measured_pct"]), _value(claim["measured_pct"]), interval),
+            Cell(percent(claim["measured_pct"]), _value(claim["measured_pct"])),
             Cell(interval or MISSING),
             Cell(verdict, kind=verdict_kind(verdict)),
         ]
@@ -129,42 +131,41 @@ def paper_tables(result: Result) -> list[Table]:
 
 
 def _paper_table(result: Result, index: int, spec: Mapping[str, Any]) -> Table:
-    window = str(spec.get("window", "all"))
-    heads = [str(c) for c in spec.get("columns", [])]
-    columns = [Column(side, group=head) for head in heads for side in ("paper", "ours")]
+    estimators = [str(c) for c in spec.get("columns", [])]
+    statistic = str(spec.get("statistic", "mean"))
+    columns = [Column(side, group=head) for head in estimators for side in ("paper", "ours")]
     rows = []
     for row in spec.get("rows", []):
         cells: list[Cell] = []
-        paper = list(row.get("paper", []))
-        for k, head in enumerate(heads):
-            estimator, where = _paper_target(row, k, head, window)
-            printed = paper[k] if k < len(paper) else None
-            cells += [Cell(number(printed, 4), _value(printed)), _measured(result, where, row, estimator)]
+        window = str(row.get("window") or spec.get("window", "all"))
+        for printed, estimator in zip_longest(row.get("paper", [])[: len(estimators)], estimators):
+            known = None if printed == NOT_PRINTED else printed
+            cells += [Cell(number(known, 4), _value(known)), _measured(result, window, row, estimator, statistic)]
         name = str(row.get("name", row.get("metric", "")))
         rows.append((f"{name}, {row['unit']}" if row.get("unit") else name, cells))
-    text = f"Ours: mean over {result.run_count} runs, {window_label(window)}; hover or focus a number for its 95 % interval."
+    text = f"Ours: {statistic} over {result.run_count} runs with its 95 % interval."
     note = " ".join(filter(None, (str(spec.get("note", "")), text)))
-    return Table(f"paper-{index}", str(spec.get("title", f"Table {index} of the paper")), columns, rows, note, corner="")
+    return Table(
+        f"paper-{index}", str(spec.get("title", f"Table {index} of the paper")), columns, rows, note, corner=""
+    )
 
 
-def _paper_target(row: Mapping[str, Any], k: int, head: str, window: str) -> tuple[str, str]:
-    """Estimator and window of a cell. A column names an estimator, unless the row does (then it names a window)."""
-    if "estimators" in row:
-        return str(row["estimators"][k]), str(row.get("window", window))
-    if "estimator" in row:
-        windows = row.get("windows")
-        return str(row["estimator"]), str(windows[k] if windows else row.get("window", head))
-    return head, str(row.get("window", window))
-
-
-def _measured(result: Result, window: str, row: Mapping[str, Any], estimator: str) -> Cell:
-    scale, metric = float(row.get("scale", 1.0)), str(row.get("metric", ""))
-    if metric in ("seconds", "time_s"):
-        seconds = result.runs.loc[result.runs["estimator"] == estimator, "seconds"]
-        value = float(seconds.median()) * scale if len(seconds) else math.nan
+def _measured(result: Result, window: str, row: Mapping[str, Any], estimator: str, statistic: str) -> Cell:
+    metric, scale = str(row.get("metric", "")), float(row.get("scale", 1.0))
+    if metric in COSTS:
+        value = scale * _cost(result, metric, estimator)
         return Cell(number(value), _value(value))
-    value, low, high = (scale * _lookup(result, window, metric, estimator, c) for c in ("mean", "ci_low", "ci_high"))
-    return Cell(number(value), _value(value), _interval(low, high))
+    wanted = (statistic, "ci_low", "ci_high")
+    value, low, high = (scale * _lookup(result, window, metric, estimator, column) for column in wanted)
+    return Cell(number(value), _value(value), _interval(low, high) if statistic == "mean" else "")
+
+
+def _cost(result: Result, metric: str, estimator: str) -> float:
+    found = result.timings[result.timings["estimator"] == estimator]
+    if found.empty:
+        return math.nan
+    median = float(found["median_us"].iloc[0])
+    return median if metric == "us_per_sample" else 1e-6 * median * float(found["samples"].iloc[0])
 
 
 def timings(result: Result) -> Table | None:
@@ -189,7 +190,9 @@ def timings(result: Result) -> Table | None:
                 Cell(number(whole), _value(whole)),
             ]
             rows.append((label, cells))
-    return Table("timings", "Computation time", columns, rows, "Time spent inside the estimator on this machine, one thread.")
+    return Table(
+        "timings", "Computation time", columns, rows, "Time spent inside the estimator on this machine, one thread."
+    )
 
 
 def consistency(result: Result) -> Table | None:
@@ -201,8 +204,11 @@ def consistency(result: Result) -> Table | None:
     columns = []
     for quantity in quantities:
         dof = frame.loc[frame["quantity"] == quantity, "dof"].iloc[0]
-        group = f"{quantity_label(quantity)} (expect {number(dof, 2)})"
-        columns += [Column("mean", group=group), Column("inside", "%", group=group, title="Share of time inside the bounds")]
+        group = f"{quantity_label(quantity)} (expect {dof:g})"
+        columns += [
+            Column("mean", group=group),
+            Column("inside", "%", group=group, title="Share of time inside the bounds"),
+        ]
     rows = []
     for label in result.estimators:
         cells: list[Cell] = []
@@ -221,18 +227,6 @@ def consistency(result: Result) -> Table | None:
     return Table("consistency", "Consistency", columns, rows, note)
 
 
-def sensors(result: Result) -> list[Table]:
-    """One table per sensor: the data-sheet values that generated the recordings."""
-    tables = []
-    for sensor, values in result.info.get("sensors", {}).items():
-        if not isinstance(values, Mapping):
-            continue
-        title = {"imu": "Inertial sensors", "gnss": "GNSS receiver", "mag": "Magnetometer", "baro": "Barometer"}
-        rows = [(key, [Cell(_plain(value))]) for key, value in _flatten(values)]
-        tables.append(Table(f"sensor-{sensor}", title.get(sensor, sensor), [Column("Value", numeric=False)], rows, corner="Quantity"))
-    return tables
-
-
 def failures(result: Result) -> Table | None:
     """Runs that diverged or failed, counted by reason; None when all went well."""
     if result.runs.empty:
@@ -240,10 +234,16 @@ def failures(result: Result) -> Table | None:
     bad = result.runs[result.runs["status"] != "ok"]
     if bad.empty:
         return None
-    counts = bad.groupby(["estimator", "status"], sort=False).size()
-    rows = [(str(e), [Cell(str(s)), Cell(str(n), float(n))]) for (e, s), n in counts.items()]
+    words = bad["status"].astype(str) + bad["reason"].map(
+        lambda reason: f": {reason}" if isinstance(reason, str) and reason else ""
+    )
+    counts = words.groupby([bad["estimator"], words], sort=False).size()
+    most = counts.groupby(level=0, sort=False).head(REASONS)
+    rows = [(str(e), [Cell(str(what)), Cell(str(n), float(n))]) for (e, what), n in most.items()]
     columns = [Column("What happened", numeric=False), Column("Runs")]
-    note = f"Of {result.run_count} runs. These runs are left out of that estimator's means."
+    more = len(counts) - len(most)
+    note = f"Of {result.run_count} runs. A lost run is left out of that estimator's means."
+    note += f" {more} rarer reasons are not shown." if more else ""
     return Table("failures", "Runs that diverged or failed", columns, rows, note)
 
 
@@ -253,11 +253,7 @@ def _mean_cell(result: Result, window: str, metric: str, estimator: str, best: s
 
 
 def _lookup(result: Result, window: str, metric: str, estimator: str, column: str) -> float:
-    key = (window, metric, estimator)
-    if key not in result.means.index:
-        return math.nan
-    found = result.means.loc[key, column]
-    return float(found.iloc[0] if isinstance(found, pd.Series) else found)
+    return result.means.get((window, metric, estimator), {}).get(column, math.nan)
 
 
 def _best(result: Result, window: str, metric: str) -> str | None:
@@ -278,19 +274,3 @@ def _value(value: object) -> float | None:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
     return float(value) if math.isfinite(value) else None
-
-
-def _flatten(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    rows: list[tuple[str, Any]] = []
-    for key, value in values.items():
-        name = f"{prefix}{key}"
-        rows += _flatten(value, f"{name}.") if isinstance(value, Mapping) else [(name, value)]
-    return rows
-
-
-def _plain(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, (list, tuple)):
-        return re.sub(r"\s+", " ", ", ".join(_plain(v) for v in value)) or MISSING
-    return number(value) if isinstance(value, float) else str(value) if value is not None else MISSING

@@ -9,6 +9,7 @@ from testbed.report import provenance, tables
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
 from testbed.report.results import Result
+from testbed.report.sensors import sensor_tables
 from testbed.report.tables import Cell, Column, Table
 
 
@@ -37,9 +38,9 @@ def markdown(result: Result, figures: dict[str, str]) -> str:
     for table in (tables.consistency(result), tables.timings(result)):
         if table is not None:
             parts += [f"## {table.title}", _markdown_table(table)]
-    if sensor_tables := tables.sensors(result):
+    if sensors := sensor_tables(result):
         parts.append("## Sensors")
-        parts += [f"### {t.title}\n\n" + _markdown_table(t) for t in sensor_tables]
+        parts += [f"### {t.title}\n\n" + _markdown_table(t) for t in sensors]
     parts.append("## Provenance\n\n" + "\n".join(f"- {name}: {value}" for name, value in provenance.rows(result)))
     parts.append("```\n" + provenance.command(result) + "\n```")
     return "\n\n".join(parts) + "\n"
@@ -53,7 +54,7 @@ def comparison_windows(result: Result) -> list[str]:
 
 def _demote(text: str) -> str:
     """Findings' headings sink below the report's own."""
-    return "\n".join("##" + line if line.startswith("#") else line for line in text.splitlines())
+    return "\n".join("#" + line if line.startswith("#") else line for line in text.splitlines())
 
 
 def _markdown_table(table: Table) -> str:
@@ -89,9 +90,13 @@ def latex(result: Result) -> str:
 
 def _latex_table(result: Result, table: Table) -> str:
     layout = "l" + "".join("r" if c.numeric else "p{5cm}" if c.label == "Claim" else "l" for c in table.columns)
-    lines = ["\\begin{table}[htbp]", "  \\centering\\small", f"  \\caption{{{_escape(f'{table.title}. {table.note}')}}}"]
+    lines = [
+        "\\begin{table}[htbp]",
+        "  \\centering\\small",
+        f"  \\caption{{{_escape(f'{table.title}. {table.note}')}}}",
+    ]
     lines += [f"  \\label{{tab:{result.name}-{table.key}}}", f"  \\begin{{tabular}}{{{layout}}}", "    \\toprule"]
-    lines += _latex_heads(table) + ["    \\midrule"]
+    lines += [*_latex_heads(table), "    \\midrule"]
     for name, cells in table.rows:
         lines.append("    " + " & ".join([_escape(name), *(_latex_cell(c) for c in cells)]) + " \\\\")
     return "\n".join([*lines, "    \\bottomrule", "  \\end{tabular}", "\\end{table}", ""])
@@ -116,7 +121,32 @@ def _latex_cell(cell: Cell) -> str:
 
 
 def _escape(text: str) -> str:
-    swaps = {"\\": "\\textbackslash{}", "{": "\\{", "}": "\\}", "%": "\\%", "&": "\\&", "_": "\\_", "#": "\\#", "$": "\\$"}
-    swaps |= {"~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "°": "$^\\circ$", "µ": "$\\mu$", "−": "$-$", "±": "$\\pm$"}
-    swaps |= {"–": "--", "“": "``", "”": "''", "\u202f": "\\,", "√": "$\\sqrt{}$", "²": "$^2$", "³": "$^3$", "×": "$\\times$"}
+    swaps = {
+        "\\": "\\textbackslash{}",
+        "{": "\\{",
+        "}": "\\}",
+        "%": "\\%",
+        "&": "\\&",
+        "_": "\\_",
+        "#": "\\#",
+        "$": "\\$",
+    }
+    swaps |= {
+        "~": "\\textasciitilde{}",
+        "^": "\\textasciicircum{}",
+        "°": "$^\\circ$",
+        "µ": "$\\mu$",
+        "−": "$-$",
+        "±": "$\\pm$",
+    }
+    swaps |= {
+        "–": "--",
+        "“": "``",
+        "”": "''",
+        "\u202f": "\\,",
+        "√": "$\\sqrt{}$",
+        "²": "$^2$",
+        "³": "$^3$",
+        "×": "$\\times$",
+    }
     return "".join(swaps.get(c, c) for c in text)

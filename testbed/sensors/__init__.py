@@ -82,7 +82,9 @@ def static_log(
 
     n = round(rate_hz * duration_s) if rate_hz > 0.0 and math.isfinite(rate_hz * duration_s) else 0
     if n < 2:
-        raise InputError(f"static_log: rate_hz {rate_hz:g} and duration_s {duration_s:g} must be positive and give samples")
+        raise InputError(
+            f"static_log: rate_hz {rate_hz:g} and duration_s {duration_s:g} must be positive and give samples"
+        )
     config = validate(ImuConfig, {"model": model} | settings, "static_log")
     lat = math.radians(lat_deg)
     rest = Motion(

@@ -19,7 +19,7 @@ import numpy as np
 
 from testbed.errors import InputError
 from testbed.records import Array, SensorLog
-from testbed.specs import TriadSpec
+from testbed.specs import GAUSS_MARKOV_PEAK, TriadSpec
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 POINTS_PER_OCTAVE = 3
 FEWEST_CLUSTERS = 5
 """Cluster times reach to this part of the record."""
-GAUSS_MARKOV_PEAK = 0.6167
-"""Of the Allan deviation of a Gauss-Markov process, over its sigma; at `GAUSS_MARKOV_PEAK_AT` correlation times."""
-GAUSS_MARKOV_PEAK_AT = 1.89
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,9 @@ def allan_deviation(samples: Array, rate_hz: float) -> Curve:
     import allantools
 
     n = len(samples)
-    sizes = np.unique(np.round(2.0 ** np.arange(0.0, math.log2(n / FEWEST_CLUSTERS), 1.0 / POINTS_PER_OCTAVE)).astype(int))
+    sizes = np.unique(
+        np.round(2.0 ** np.arange(0.0, math.log2(n / FEWEST_CLUSTERS), 1.0 / POINTS_PER_OCTAVE)).astype(int)
+    )
     # Without its mean the integrated phase keeps its digits.
     centred = np.asarray(samples, dtype=np.float64) - np.mean(samples)
     tau, deviation, _, _ = allantools.oadev(centred, rate=rate_hz, data_type="freq", taus=sizes / rate_hz)
@@ -83,7 +82,7 @@ def _markov_shape(x: Array) -> Array:
     small = x < 0.02
     safe = np.where(small, 1.0, x)
     exact = 2.0 / safe - (3.0 - 4.0 * np.exp(-safe) + np.exp(-2.0 * safe)) / safe**2
-    return np.where(small, x * (2.0 / 3.0 - 0.5 * x), exact)
+    return np.where(small, x * (2.0 / 3.0 - 0.5 * x + 7.0 / 30.0 * x * x), exact)
 
 
 def fit_allan(curve: Curve, duration_s: float, axes: int = 1, markov: bool = True, walk: bool = True) -> Figures:
@@ -215,7 +214,11 @@ def plot(log: SensorLog, path: str | Path) -> None:
         _draw_fit(axes, curve.tau, _fit(curve, log, spec, 3), factor)
         if (curve.deviation > 0.0).all():
             axes.set_ylim(0.5 * factor * curve.deviation.min(), 2.0 * factor * curve.deviation.max())
-        axes.set(title=f"{log.name or log.imu.spec.name}: {triad}", xlabel="cluster time, s", ylabel=f"Allan deviation, {unit}")
+        axes.set(
+            title=f"{log.name or log.imu.spec.name}: {triad}",
+            xlabel="cluster time, s",
+            ylabel=f"Allan deviation, {unit}",
+        )
         axes.grid(True, which="both", lw=0.3)
         axes.legend(fontsize=7)
     figure.savefig(path, dpi=80)
@@ -230,7 +233,9 @@ def _draw_fit(axes: Any, tau: Array, fit: Figures, factor: float) -> None:
     if fit.bias_instability:
         axes.axhline(fit.bias_instability * factor, color="k", ls=":", lw=0.9, label="bias instability, slope 0")
     if fit.rate_random_walk:
-        axes.loglog(tau, fit.rate_random_walk * np.sqrt(tau / 3.0) * factor, "k-.", lw=0.7, label="rate random walk, slope +1/2")
+        axes.loglog(
+            tau, fit.rate_random_walk * np.sqrt(tau / 3.0) * factor, "k-.", lw=0.7, label="rate random walk, slope +1/2"
+        )
 
 
 def _triads(log: SensorLog) -> list[tuple[str, Array, TriadSpec]]:
@@ -244,7 +249,9 @@ def _rate(log: SensorLog) -> float:
         raise InputError(f"Allan deviation: the log has {len(steps) + 1} IMU samples, too few")
     if steps.max() > 1.5 * np.median(steps):
         k = int(np.argmax(steps))
-        raise InputError(f"Allan deviation: the samples must be evenly spaced; there is a gap after t = {log.imu.t[k]:.6g} s")
+        raise InputError(
+            f"Allan deviation: the samples must be evenly spaced; there is a gap after t = {log.imu.t[k]:.6g} s"
+        )
     return float(1.0 / steps.mean())
 
 

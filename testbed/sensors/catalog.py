@@ -21,6 +21,8 @@ SHIPPED = Path(__file__).with_name("catalog.toml")
 SPECS: dict[str, type] = {"imu": ImuSpec, "gnss": GnssSpec, "mag": MagSpec, "baro": BaroSpec}
 REMARKS = ("source", "assumed")
 """Keys of an entry that are no figures."""
+POSITIVE = ("rate_hz", "correlation_time_s", "markov_time_s", "bandwidth_hz", "range")
+"""Figures that must not be zero."""
 _DEG = math.pi / 180.0
 _MGAUSS = 0.1  # µT
 
@@ -60,7 +62,9 @@ def specification(kind: str, model: str, overrides: Mapping[str, Any] | None = N
         spec = replace(spec, **{head: replace(getattr(spec, head), **{tail: value}) if tail else value})
     for triad in (f.name for f in fields(spec) if is_dataclass(getattr(spec, f.name))):
         if getattr(spec, triad).nonlinearity and math.isinf(getattr(spec, triad).range):
-            raise InputError(f"[{kind}.{model}]: {triad}_nonlinearity_pctfs is relative to the range: give {triad}_range_*")
+            raise InputError(
+                f"[{kind}.{model}]: {triad}_nonlinearity_pctfs is relative to the range: give {triad}_range_*"
+            )
     return spec
 
 
@@ -105,7 +109,7 @@ def read(file: Path) -> dict[str, dict[str, dict[str, Any]]]:
                 raise InputError(f"{file}: '{kind}.{name}' must be a table [{kind}.NAME]")
             _resolve(kind, table, f"{file}: [{kind}.{name}]")
             for key in ("source",) if "source" not in table else ():
-                raise InputError(f"{file}: [{kind}.{name}] must say where its figures come from: {key} = \"...\"")
+                raise InputError(f'{file}: [{kind}.{name}] must say where its figures come from: {key} = "..."')
     return tables
 
 
@@ -127,9 +131,8 @@ def _resolve(kind: str, table: Mapping[str, Any], where: str) -> dict[str, Any]:
             raise InputError(f"{where}: '{key}' and '{origin[path]}' say the same thing; give one")
         origin[path] = key
         out[path] = _number(value, factor, path.endswith("true_bias"), f"{where}: '{key}'")
-        if path.rpartition(".")[2] in ("rate_hz", "correlation_time_s", "markov_time_s", "bandwidth_hz", "range"):
-            if not out[path] > 0.0:
-                raise InputError(f"{where}: '{key}' must be positive, is {value}")
+        if path.rpartition(".")[2] in POSITIVE and not out[path] > 0.0:
+            raise InputError(f"{where}: '{key}' must be positive, is {value}")
     return out
 
 

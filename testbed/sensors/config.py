@@ -109,7 +109,7 @@ class Tone(Table):
 class Vibration(Table):
     """Engine vibration: sinusoids and band noise."""
 
-    tones: list[Tone] = []
+    tones: Annotated[list[Tone], Field(default_factory=list)]
     band_hz: Window | None = None
     band_accel_g: Triple = (0.0, 0.0, 0.0)
     """RMS of the band noise along b (at rpm_nominal if the trajectory has the engine speed)."""
@@ -126,7 +126,7 @@ class ImuConfig(SensorTable):
     """Default: the rate of the trajectory. The trajectory's rate must be a whole multiple of it."""
     lever_arm_m: Triple = (0.0, 0.0, 0.0)
     """From the reference point of the trajectory to the IMU, in b."""
-    disable: list[ImuStep] = []
+    disable: Annotated[list[ImuStep], Field(default_factory=list)]
     temperature: Temperature | None = None
     vibration: Vibration | None = None
 
@@ -183,19 +183,21 @@ class GnssConfig(SensorTable):
     """From the IMU to the antenna, in b."""
     start_up_s: NonNegative = 0.0
     """No fix before this time."""
-    outages: list[Window] = []
+    outages: Annotated[list[Window], Field(default_factory=list)]
     random_outages: RandomOutages | None = None
     outliers: OutlierBursts | None = None
-    degraded: list[Degraded] = []
+    degraded: Annotated[list[Degraded], Field(default_factory=list)]
 
     @model_validator(mode="after")
     def _outages_ordered(self) -> GnssConfig:
-        previous = -1.0
+        previous = float("-inf")
         for start, end in self.outages:
             if end <= start:
                 raise ValueError(f"outages: [{start:g}, {end:g}] ends before it starts")
             if start < previous:
-                raise ValueError(f"outages: [{start:g}, {end:g}] must come after the one before it, which ends at {previous:g} s")
+                raise ValueError(
+                    f"outages: [{start:g}, {end:g}] must come after the one before it, which ends at {previous:g} s"
+                )
             previous = end
         if self.outages and self.random_outages is not None:
             raise ValueError("give outages or random_outages, not both")
@@ -223,7 +225,7 @@ class MagConfig(SensorTable):
     rate_hz: Positive | None = None
     year: Annotated[float, Field(ge=2010.0, lt=2030.0)] = 2025.0
     """Decimal year of the geomagnetic model."""
-    disturbances: list[Disturbance] = []
+    disturbances: Annotated[list[Disturbance], Field(default_factory=list)]
 
     def spec(self) -> MagSpec:
         """The specification, without the local field."""

@@ -33,7 +33,7 @@ def sense_gnss(
     moments = fix_moments(spec, config.time_offset_s, trajectory)
     stamps = moments + spec.latency_s
     factor, reported = _dilution(config, trajectory, stamps)
-    lat, lon, h, v_n = antenna_state(trajectory, moments, np.array(imu_lever_arm_b) + np.array(spec.lever_arm_b))
+    lat, lon, h, v_n = point_state(trajectory, moments, np.array(imu_lever_arm_b) + np.array(spec.lever_arm_b))
     errors = factor[:, None] * _errors(spec, len(moments), draws)
     constants: dict[str, Any] = {}
     if config.outliers is not None:
@@ -62,12 +62,15 @@ def fix_moments(spec: GnssSpec, offset_s: float, trajectory: Trajectory) -> Arra
     Without an offset the first is one interval after the start. The last is stamped before the end.
     """
     start, end = trajectory.t[0] + offset_s, trajectory.t[-1] - spec.latency_s
-    moments = start + np.arange(0 if offset_s else 1, math.floor((end - start) * spec.rate_hz + 1e-6) + 1) / spec.rate_hz
+    moments = (
+        start + np.arange(0 if offset_s else 1, math.floor((end - start) * spec.rate_hz + 1e-6) + 1) / spec.rate_hz
+    )
     k = np.clip(np.searchsorted(trajectory.t, moments - _SNAP_S), 0, len(trajectory.t) - 1)
+    moments = np.minimum(moments, end)
     return np.where(np.abs(trajectory.t[k] - moments) <= _SNAP_S, trajectory.t[k], moments)
 
 
-def antenna_state(trajectory: Trajectory, t: Array, arm_b: Array) -> tuple[Array, Array, Array, Array]:
+def point_state(trajectory: Trajectory, t: Array, arm_b: Array) -> tuple[Array, Array, Array, Array]:
     """True lat, lon (rad), h (m), v_n (n,3) of a point at ``arm_b`` (m, in b) from the reference point, at times ``t``.
 
     Groves eq. 2.165 and 2.166: r + C_nb l and v + C_nb (w_eb_b × l).
@@ -114,7 +117,9 @@ def _random_windows(wanted: RandomOutages, start: float, end: float, draws: Draw
             f" after {wanted.after_s:g} s need {end - start - free:g} s, but the flight lasts {end - start:g} s"
         )
     places = np.sort(draws.outages("gnss.outages").uniform(0.0, free, wanted.count))
-    return tuple((float(first + p + i * period), float(first + p + i * period + wanted.duration_s)) for i, p in enumerate(places))
+    return tuple(
+        (float(first + p + i * period), float(first + p + i * period + wanted.duration_s)) for i, p in enumerate(places)
+    )
 
 
 def _inside(windows: Windows, t: Array) -> Array:
@@ -133,7 +138,11 @@ def _errors(spec: GnssSpec, n: int, draws: Draws) -> Array:
         process = draws.noise("gnss.markov").standard_normal((n, 3))
         decay = math.exp(-1.0 / (spec.rate_hz * spec.markov_time_s))
         kernels.markov(process, decay, math.sqrt(1.0 - decay * decay))
-        errors[:, :3] += process * [spec.horizontal_markov_sigma, spec.horizontal_markov_sigma, spec.vertical_markov_sigma]
+        errors[:, :3] += process * [
+            spec.horizontal_markov_sigma,
+            spec.horizontal_markov_sigma,
+            spec.vertical_markov_sigma,
+        ]
     return errors
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from testbed.earth import G0
 from testbed.errors import InputError
-from testbed.records import Array, ImuSamples
+from testbed.records import Array, ImuSamples, Trajectory
 from testbed.sensors import kernels, slow_bias, vibration
 from testbed.sensors.config import ImuConfig
 from testbed.sensors.draws import Draws
@@ -177,7 +177,9 @@ def _white_noise(setup: Setup) -> list[Step]:
             rng, buffer = setup.draws.noise(f"imu.{name}.white_noise"), np.empty((BLOCK, 3))
             sigma = drawn_noise_sigma(spec, setup.spec.rate_hz, setup.on("quantisation"))
 
-            def step(block: Block, name: str = name, sigma: float = sigma, rng: Any = rng, buffer: Array = buffer) -> None:
+            def step(
+                block: Block, name: str = name, sigma: float = sigma, rng: Any = rng, buffer: Array = buffer
+            ) -> None:
                 noise = buffer[: len(block.t)]
                 rng.standard_normal(out=noise)
                 kernels.add_scaled(block.triad(name), sigma, noise)
@@ -252,11 +254,15 @@ def butterworth(bandwidth_hz: float, rate_hz: float) -> tuple[Array, Array]:
     k = math.tan(math.pi * bandwidth_hz / rate_hz)
     norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
     b0 = k * k * norm
-    return np.array([b0, 2.0 * b0, b0]), np.array([1.0, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm])
+    return np.array([b0, 2.0 * b0, b0]), np.array(
+        [1.0, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm]
+    )
 
 
 def _saturation(setup: Setup) -> list[Step]:
-    active = [(name, spec.range) for name, spec in setup.triads() if setup.on("saturation") and math.isfinite(spec.range)]
+    active = [
+        (name, spec.range) for name, spec in setup.triads() if setup.on("saturation") and math.isfinite(spec.range)
+    ]
     return [lambda block, name=name, r=r: kernels.saturate(block.triad(name), r) for name, r in active]
 
 
@@ -281,18 +287,33 @@ CHAIN: tuple[Callable[[Setup], list[Step]], ...] = (
 """Builders of the steps, in the order in which the steps act."""
 
 
-def motion_of(trajectory: Any, rate_hz: float | None) -> Motion:
-    """The true motion of a flight at the IMU's rate. Raises InputError for a rate that the trajectory cannot give."""
+def motion_of(trajectory: Trajectory, rate_hz: float | None) -> Motion:
+    """The true motion of a flight at the IMU's rate, of which the trajectory's must be a whole multiple.
+
+    The mean over a long interval is the mean of the means over its parts, so nothing is lost. Raises InputError for a rate
+    that the trajectory cannot give.
+    """
     rate = 1.0 / trajectory.dt
-    if rate_hz is not None and abs(rate_hz / rate - 1.0) > 1e-6:
+    ratio = rate / rate_hz if rate_hz is not None else 1.0
+    parts = round(ratio)
+    if parts < 1 or abs(ratio / parts - 1.0) > 1e-6:
         raise InputError(
-            f"[sensors.imu] rate_hz: {rate_hz:g} Hz, but the trajectory has {rate:g} Hz; set flight.rate_hz to {rate_hz:g}"
+            f"[sensors.imu] rate_hz: {rate_hz:g} Hz cannot be had from a trajectory of {rate:g} Hz;"
+            f" set flight.rate_hz to a whole multiple of {rate_hz:g}"
         )
+    n = (len(trajectory.t) - 1) // parts
+    if n < 2:
+        raise InputError(f"[sensors.imu] rate_hz: the flight is too short for two samples at {rate_hz:g} Hz")
     rpm = trajectory.extra.get("engine_rpm")
+
+    def means(values: Array) -> Array:
+        inside = values[1 : n * parts + 1]
+        return inside if parts == 1 else inside.reshape(n, parts, -1).mean(axis=1).reshape(n, *values.shape[1:])
+
     return Motion(
         float(trajectory.t[0]),
-        trajectory.t[1:],
-        trajectory.w_ib_b[1:],
-        trajectory.f_b[1:],
-        None if rpm is None else rpm[1:],
+        trajectory.t[parts : n * parts + 1 : parts],
+        means(trajectory.w_ib_b),
+        means(trajectory.f_b),
+        None if rpm is None else means(rpm),
     )

@@ -12,9 +12,10 @@ import numpy as np
 
 from testbed.earth import G0, metres_per_radian
 from testbed.records import Array, InitialState, Trajectory
-from testbed.rotations import quat_multiply, quat_rotate, rotvec_to_quat
+from testbed.rotations import quat_multiply, rotvec_to_quat
 from testbed.sensors.config import InitialConfig
 from testbed.sensors.draws import Draws
+from testbed.sensors.gnss import point_state
 from testbed.specs import ImuSpec, TriadSpec
 
 SMALLEST_STD = np.repeat([1e-4, 1e-5, 1e-7, 1e-8, 1e-10], 3)
@@ -26,18 +27,18 @@ def draw_initial(
 ) -> InitialState:
     """Mean drawn around the state of the IMU at the start. ``true_bias`` is that of ``gyro`` and ``accel`` at the start."""
     q_true = trajectory.q_nb[0]
-    arm_n = np.array(quat_rotate(q_true, np.array(imu.lever_arm_b)))
+    lat, lon, h, v_n = point_state(trajectory, trajectory.t[:1], np.array(imu.lever_arm_b))
     std = np.maximum(_std(config, imu), SMALLEST_STD)
     error = np.zeros(15) if config.perfect else _std(config, imu) * draws.alignment("initial").standard_normal(15)
-    place = arm_n + error[0:3]
-    north, east = metres_per_radian(trajectory.lat[0], trajectory.h[0])
-    known_accel, known_gyro = config.perfect or config.accel_bias_mg is not None, config.perfect or config.gyro_bias_dps is not None
+    north, east = metres_per_radian(lat[0], h[0])
+    known_accel = config.perfect or config.accel_bias_mg is not None
+    known_gyro = config.perfect or config.gyro_bias_dps is not None
     return InitialState(
         t=float(trajectory.t[0]),
-        lat=float(trajectory.lat[0] + place[0] / north),
-        lon=float(trajectory.lon[0] + place[1] / east),
-        h=float(trajectory.h[0] - place[2]),
-        v_n=trajectory.v_n[0] + error[3:6],
+        lat=float(lat[0] + error[0] / north),
+        lon=float(lon[0] + error[1] / east),
+        h=float(h[0] - error[2]),
+        v_n=v_n[0] + error[3:6],
         q_nb=np.array(quat_multiply(rotvec_to_quat(error[6:9]), q_true)),
         accel_bias=true_bias["accel"] + error[9:12] if known_accel else np.zeros(3),
         gyro_bias=true_bias["gyro"] + error[12:15] if known_gyro else np.zeros(3),

@@ -26,7 +26,9 @@ TRACK_POINTS = 17
 
 def field_n(lat: float, lon: float, h: float, year: float) -> tuple[float, float, float]:
     """Geomagnetic field north, east, down (µT) at a place (rad, m) and decimal year (2010 to 2030)."""
-    result = _model(int(5 * (year // 5))).calculate(glat=math.degrees(lat), glon=math.degrees(lon), alt=h / 1000.0, time=year)
+    result = _model(int(5 * (year // 5))).calculate(
+        glat=math.degrees(lat), glon=math.degrees(lon), alt=h / 1000.0, time=year
+    )
     return result.x / 1000.0, result.y / 1000.0, result.z / 1000.0
 
 
@@ -61,7 +63,7 @@ def sense_mag(config: MagConfig, trajectory: Trajectory, draws: Draws) -> tuple[
 def sample_times(trajectory: Trajectory, rate_hz: float) -> Array:
     """From one interval after the start to the end."""
     start, end = trajectory.t[0], trajectory.t[-1]
-    return start + np.arange(1, math.floor((end - start) * rate_hz + 1e-6) + 1) / rate_hz
+    return np.minimum(start + np.arange(1, math.floor((end - start) * rate_hz + 1e-6) + 1) / rate_hz, end)
 
 
 def _along_track(t: Array, lat: Array, lon: Array, h: Array, year: float) -> Array:

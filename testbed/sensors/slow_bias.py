@@ -46,7 +46,9 @@ def draw(name: str, spec: TriadSpec, config: ImuConfig, start: float, end: float
         knots += gauss_markov(len(knots), spec.gauss_markov_sigma(), spec.correlation_time_s, step, rng)
     if "rate_random_walk" not in off and spec.rate_random_walk:
         rng = draws.noise(f"imu.{name}.rate_random_walk")
-        knots[1:] += np.cumsum(spec.rate_random_walk * math.sqrt(step) * rng.standard_normal((len(knots) - 1, 3)), axis=0)
+        knots[1:] += np.cumsum(
+            spec.rate_random_walk * math.sqrt(step) * rng.standard_normal((len(knots) - 1, 3)), axis=0
+        )
     if "temperature" not in off and config.temperature is not None and spec.bias_temperature:
         per_kelvin = spec.bias_temperature * draws.turn_on(f"imu.{name}.bias_temperature").standard_normal(3)
         constants[f"{name}_bias_temperature"] = per_kelvin

@@ -14,9 +14,7 @@ from testbed.sensors.config import Tone, Vibration
 from testbed.sensors.draws import Draws
 
 
-def generate(
-    config: Vibration, start: float, t: Array, engine_rpm: Array | None, draws: Draws
-) -> tuple[Array, Array]:
+def generate(config: Vibration, start: float, t: Array, engine_rpm: Array | None, draws: Draws) -> tuple[Array, Array]:
     """Mean acceleration (n,3) in g and rate (n,3) in °/s of the vibration over the intervals that end at ``t``."""
     accel, gyro = np.zeros((len(t), 3)), np.zeros((len(t), 3))
     strength = np.ones(len(t))

@@ -109,6 +109,7 @@
   let data = null;
   let ready = null;
   let printing = false;
+  const PAPER_WIDTH = 660;
   const dark = () => !printing && root.dataset.theme === "dark";
   const hidden = () => new Set(all('[name="estimator"]').filter((box) => !box.checked).map((box) => box.value));
 
@@ -164,12 +165,18 @@
     Object.assign(layout, {
       autosize: true, paper_bgcolor: tones.paper, plot_bgcolor: tones.paper, showlegend: Boolean(layout.showlegend),
       font: { family: getComputedStyle(root).getPropertyValue("--sans"), size: 12, color: tones.ink },
-      margin: layout.margin ?? { l: 62, r: 12, t: 28, b: 46 },
-      legend: { orientation: "h", x: 1, xanchor: "right", y: 1.02, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" },
+      margin: layout.margin ?? { l: 62, r: 12, t: 46, b: 46 },
+      legend: { orientation: "h", x: 0, xanchor: "left", y: 1.02, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" },
       hoverlabel: { bgcolor: tones.paper, bordercolor: tones.soft, font: { color: tones.ink } },
       uirevision: figure.dataset.view = one('[type="radio"]:checked', figure)?.value ?? "",
     });
     for (const name of Object.keys(layout)) if (/^[xy]axis\d*$/.test(name)) layout[name] = dressAxis(layout[name], tones);
+    if (figure.dataset.key === "track") {
+      const [[x0, x1], [y0, y1]] = [layout.xaxis.range, layout.yaxis.range];
+      const width = (printing ? PAPER_WIDTH : one(".plot", figure).clientWidth) - 80;
+      layout.height = Math.round(Math.max(260, Math.min(560, (width * (y1 - y0)) / (x1 - x0) + 95)));
+      one(".plot", figure).style.minHeight = `${layout.height}px`;
+    }
     if (layout.scene) {
       for (const name of ["xaxis", "yaxis", "zaxis"]) {
         Object.assign(layout.scene[name], { gridcolor: tones.grid, zerolinecolor: tones.grid, linecolor: tones.soft, showbackground: false, color: tones.ink });
@@ -182,11 +189,13 @@
     for (const note of layout.annotations ?? []) note.font = { size: 10, color: tones.soft };
     return [view.data.map((trace) => dressTrace(trace, tones, off, band)), layout];
   }
-  const config = { responsive: true, displaylogo: false, scrollZoom: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "sendDataToCloud"] };
+  const flat = [["toImage", "zoom2d", "pan2d", "resetScale2d"]];
+  const space = [["toImage", "orbitRotation", "pan3d", "resetCameraDefault3d"]];
+  const config = (figure) => ({ responsive: true, displaylogo: false, scrollZoom: ["track", "path"].includes(figure.dataset.key),
+    modeBarButtons: figure.dataset.key === "path" ? space : flat });
   function draw(figure) {
     const [traces, layout] = dress(figure);
-    const options = { ...config, scrollZoom: figure.dataset.key === "track" };
-    const done = window.Plotly.react(one(".plot", figure), traces, layout, options);
+    const done = window.Plotly.react(one(".plot", figure), traces, layout, config(figure));
     figure.dataset.drawn = "yes";
     return done;
   }
@@ -253,7 +262,7 @@
     if (!window.Plotly) return;
     for (const figure of figures.filter((f) => f.dataset.drawn)) {
       const [traces, layout] = dress(figure);
-      window.Plotly.react(one(".plot", figure), traces, { ...layout, autosize: false, width: 660 }, config);
+      window.Plotly.react(one(".plot", figure), traces, { ...layout, autosize: false, width: PAPER_WIDTH }, config(figure));
     }
   });
   addEventListener("afterprint", () => { printing = false; restyle(); });

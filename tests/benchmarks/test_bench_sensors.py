@@ -1,0 +1,34 @@
+"""Speed of the sensors: one hour of a 200 Hz IMU beside numpy's drawing of the same count of normals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from analytic_flight import analytic_flight
+
+from testbed.schema import validate
+from testbed.sensors import sense_flight, static_log
+from testbed.sensors.config import InitialConfig, SensorsConfig
+
+HOUR = 3600.0
+
+
+@pytest.mark.benchmark(group="sensing: 1 h at 200 Hz")
+def test_numpy_normals(benchmark):
+    benchmark(lambda: np.random.default_rng(0).standard_normal((int(200 * HOUR), 6)))
+
+
+@pytest.mark.benchmark(group="sensing: 1 h at 200 Hz")
+@pytest.mark.parametrize("model", ["ADIS16405", "ADIS16448", "ahrs-lstm-2022"])
+def test_imu(benchmark, model):
+    static_log(model, 200.0, 1.0)
+    benchmark(static_log, model, 200.0, HOUR)
+
+
+@pytest.mark.benchmark(group="sensing: all sensors of a 300 s flight at 200 Hz")
+def test_flight(benchmark):
+    flight = analytic_flight(duration_s=300.0, rate_hz=200.0)
+    table = {"imu": {"model": "ADIS16405"}, "gnss": {"model": "Garmin16x"}, "mag": {"model": "ADIS16405"}, "baro": {}}
+    sensors = validate(SensorsConfig, table, "bench")
+    sense_flight(sensors, InitialConfig(), flight, 0)
+    benchmark(sense_flight, sensors, InitialConfig(), flight, 0)

@@ -1,0 +1,120 @@
+"""Verdicts, sweeps and comparisons of results."""
+
+from __future__ import annotations
+
+import math
+
+import monte_carlo as mc
+import numpy as np
+import pandas as pd
+import pytest
+
+from testbed import pipeline, runner
+from testbed.claims import verdict
+from testbed.compare import compare_all, compare_results, holm
+from testbed.errors import InputError
+from testbed.statistics import Improvement
+from testbed.sweep import parse_sweep, sweep, sweep_command
+
+
+@pytest.fixture(autouse=True)
+def real_pipeline():
+    """The plug-in of these tests replaces two functions of the pipeline; put them back."""
+    before = pipeline.fly, pipeline.sense
+    yield
+    pipeline.fly, pipeline.sense = before
+
+
+def run(scenario, out, **options):
+    return runner.run(scenario, out, jobs=1, plugins=[mc.PLUGIN], **options)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "paper", "expected"),
+    [
+        (10.0, 20.0, 15.0, "reproduced"),
+        (10.0, 20.0, 5.0, "reproduced"),
+        (10.0, 20.0, 34.0, "direction reproduced"),
+        (10.0, 20.0, None, "reproduced"),
+        (-5.0, 20.0, 15.0, "not reproduced"),
+        (-20.0, -5.0, 15.0, "reversed"),
+        (-1.0, 1.0, 0.0, "reproduced"),
+        (-3.0, -1.0, 0.0, "reversed"),
+        (math.nan, math.nan, 15.0, "not tested"),
+    ],
+)
+def test_verdicts(low, high, paper, expected):
+    assert verdict(Improvement(0.5 * (low + high), low, high, 0.01, 20), paper) == expected
+
+
+def test_claims_of_another_variant_are_not_tested_and_timings_stand_apart(tmp_path):
+    claims = [mc.CLAIM, mc.CLAIM | {"id": "2", "variant": "other"}, mc.CLAIM | {"id": "3", "metric": "us_per_sample"}]
+    result = run(mc.scenario([mc.GOOD, mc.BAD], claims=claims), tmp_path / "out")
+    assert result.claims["id"].tolist() == ["1", "3"]
+    assert pd.read_csv(result.out / "claims.csv")["id"].tolist() == [1]
+    assert pd.read_csv(result.out / "claims-timings.csv")["id"].tolist() == [3]
+
+
+def test_parse_sweep():
+    assert parse_sweep("a.b=1,2.5") == ("a.b", [1, 2.5])
+    assert parse_sweep("outages=[[1,2]],[]") == ("outages", [[[1, 2]], []])
+    assert parse_sweep("model=ADIS16405,ideal") == ("model", ["ADIS16405", "ideal"])
+    with pytest.raises(InputError, match="expected KEY="):
+        parse_sweep("a.b")
+
+
+def test_sweep_is_one_table_and_one_plot_over_the_grid(tmp_path):
+    def load(point):
+        params = {"sigma_m": point["sigma"], "common_m": point["common"]}
+        return mc.scenario([{"name": "noisy", "params": params}], runs=60)
+
+    options = {"jobs": 1, "plugins": [mc.PLUGIN]}
+    table = sweep(load, {"sigma": [1.0, 2.0, 4.0], "common": [0.0, 3.0]}, tmp_path / "out", **options)
+    read = pd.read_csv(tmp_path / "out" / "sweep.csv")
+    assert len(read) == len(table) and (tmp_path / "out" / "sweep.png").stat().st_size > 5000
+    north = read[(read["metric"] == "rmse_north_m") & (read["window"] == "all")].set_index(["sigma", "common"])["mean"]
+    for (sigma, common), mean in north.items():
+        total = math.hypot(sigma, common)
+        assert abs(mean - total * math.sqrt(2 / math.pi)) < 4 * total * math.sqrt((1 - 2 / math.pi) / 60)
+    again = sweep(load, {"sigma": [1.0, 2.0, 4.0], "common": [0.0, 3.0]}, tmp_path / "out", resume=True, **options)
+    pd.testing.assert_frame_equal(again, table)
+
+
+def test_sweep_command_refuses_a_wrong_key_before_it_runs(tmp_path):
+    with pytest.raises(InputError, match="rate_hz"):
+        sweep_command(mc.scenario([mc.GOOD]), ["flight.rate_hx=1,2"], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_holm_is_the_textbook_example():
+    # Holm (1979): ordered p-values times n, n-1, ..., kept monotone
+    adjusted = holm(np.array([0.01, 0.04, 0.03, 0.005, math.nan]))
+    assert np.allclose(adjusted, [0.03, 0.06, 0.06, 0.02, math.nan], equal_nan=True)
+
+
+def test_comparison_finds_what_got_worse_and_is_quiet_otherwise(tmp_path):
+    def result(name, sigma, seed=1):
+        row = {"name": "noisy", "params": {"sigma_m": sigma, "common_m": 5.0}}
+        return run(mc.scenario([row], runs=60, seed=seed), tmp_path / name).out
+
+    old = result("old", 1.0)
+    assert compare_results(old, result("same", 1.0)).empty
+    assert compare_results(old, result("chance", 1.0, seed=2)).empty
+    worse = compare_results(old, result("worse", 20.0)).set_index(["window", "metric"])["verdict"]
+    assert worse["all", "rmse_north_m"] == "worse"
+    better = compare_results(tmp_path / "worse", old)
+    assert set(better["verdict"]) == {"better"}
+    unpaired = compare_results(old, result("worse-2", 20.0, seed=3))
+    assert "worse" in set(unpaired["verdict"])
+    assert set(compare_all(old, tmp_path / "same")["verdict"]) == {"same"}
+
+
+def test_comparison_counts_lost_runs_and_missing_estimators(tmp_path):
+    fine = run(mc.scenario([{"name": "noisy", "label": "x"}, mc.GOOD], runs=60), tmp_path / "fine").out
+    lossy = run(mc.scenario([{"name": "nan", "label": "x"}], runs=60), tmp_path / "lossy").out
+    changes = compare_results(fine, lossy)
+    assert ((changes["estimator"] == "good") & (changes["verdict"] == "worse")).any()
+    lost = changes[(changes["estimator"] == "x") & (changes["metric"] == "lost_runs")]
+    assert lost["verdict"].tolist() == ["worse"] and lost["new"].iloc[0] == pytest.approx(0.2)
+    with pytest.raises(InputError, match="no result"):
+        compare_results(tmp_path / "nowhere", lossy)
