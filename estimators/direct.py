@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.indirect_kf import MINIMUM_STD, SNAPSHOT_INTERVAL_S, noise_model, require_gnss
-from testbed import earth
 from testbed.errors import InputError
 from testbed.records import Innovations, NavSolution, SensorLog
 
@@ -140,6 +139,7 @@ class DirectProblem:
     def of(cls, log: SensorLog, name: str, noise_scales: tuple[float, ...], std_scales: tuple[float, ...]) -> DirectProblem:
         """Convert ``log``. Raises InputError when it has no GNSS."""
         from estimators.motion_models import Setting
+        from testbed import earth
         from testbed.rotations import euler_error_matrix, quat_to_euler
 
         gnss, imu, first = require_gnss(log, name), log.imu, log.initial
@@ -183,6 +183,7 @@ class DirectProblem:
 
     def solution(self, used: int, extras: dict[str, tuple[Array, Array]]) -> NavSolution:
         """The answer in the bench's conventions, after ``used`` fixes."""
+        from testbed import earth
         from testbed.rotations import eulers_to_quats, wrap
 
         states, variances, snapshots, residuals, covariances = self.outputs

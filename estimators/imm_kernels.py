@@ -182,7 +182,8 @@ def filter_log(start, t, imu, gnss_t, gnss_z, gnss_r, x, p, branches, probabilit
         xs[j] = x
         ps[j] = p
     phi, work = np.eye(N_STATES), np.empty((N_STATES + 1, N_STATES))
-    corrections, part, held, last = np.zeros(6), np.zeros(6), np.zeros(3), x[3:6].copy()
+    corrections, part = np.zeros(6), np.zeros(6)
+    held, push, last = np.zeros(3), np.zeros(3), x[3:6].copy()
     branch_residual, branch_covariance = np.empty((count, COMMON)), np.empty((count, COMMON, COMMON))
     white, factor = np.empty(COMMON), np.empty((COMMON, COMMON))
     h, scratch = np.zeros((COMMON, N_STATES)), np.empty((COMMON + 1, N_STATES))
@@ -199,11 +200,11 @@ def filter_log(start, t, imu, gnss_t, gnss_z, gnss_r, x, p, branches, probabilit
             if dt > SAME_TIME:
                 for i in range(6):
                     part[i] = corrections[i] * dt / whole
-                for j in range(count):
-                    predict(models[j], xs[j], ps[j], imu[k], part, dt, setting, held, noise[j], phi, work)
-                fade = np.exp(-dt / manoeuvre_time)
+                fade = np.exp((last_fix - now) / manoeuvre_time)
                 for i in range(3):
-                    held[i] *= fade
+                    push[i] = held[i] * fade
+                for j in range(count):
+                    predict(models[j], xs[j], ps[j], imu[k], part, dt, setting, push, noise[j], phi, work)
                 now += dt
             if not fix:
                 break

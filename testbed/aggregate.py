@@ -17,7 +17,7 @@ from testbed import claims, statistics
 from testbed.metrics import AXES, NEES_GROUPS
 from testbed.records import Array
 from testbed.scenario import Scenario
-from testbed.store import ColumnStore, Store, decode
+from testbed.store import ColumnStore, Store, decode, writing
 from testbed.units import UnitResult
 
 if TYPE_CHECKING:
@@ -124,8 +124,6 @@ def _gather(
         [("run", pa.int64())] + [(name, pa.string()) for name in ("estimator", "window", "metric")] + [("value", pa.float64())]
     )
     temporary = store.out / ".scratch" / "metrics.parquet"
-    from testbed.store import writing
-
     with writing(store.out):
         with pq.ParquetWriter(temporary, schema) as writer:
             batch: list[tuple[int, str, str, str, float]] = []
@@ -153,11 +151,10 @@ def _take(unit: UnitResult, out: _Pass, values: ColumnStore, series: ColumnStore
     wide = np.full((len(out.series) + len(unit.series), out.points), np.nan, dtype=np.float32)
     for (estimator, name), column in unit.series.items():
         if name in NEES_GROUPS or name == "nis":
-            total = out.tests.setdefault(
-                (estimator, name), statistics.ConsistencySum(np.zeros(out.points), np.zeros(out.points))
-            )
-            total.add(_fit(column, out.points), _fit(unit.series[estimator, f"dof_{name}"], out.points))
-        elif not name.startswith("dof_"):
+            total = out.tests.setdefault((estimator, name), statistics.ConsistencySum.zero(out.points))
+            parts = (column, unit.series[estimator, f"dof_{name}"], unit.series[estimator, f"count_{name}"])
+            total.add(*(_fit(part, out.points) for part in parts))
+        elif not name.startswith(("dof_", "count_")):
             wide[out.series.setdefault((estimator, name), len(out.series))] = _fit(column, out.points)
     series.append(wide[: len(out.series)].ravel())
 
@@ -248,19 +245,10 @@ def _consistency(gathered: _Pass, rows: list[str], times: Array) -> pd.DataFrame
     out: list[dict[str, Any]] = []
     for row in rows:
         for name in (*NEES_GROUPS, "nis"):
-            if (total := gathered.tests.get((row, name))) is None:
-                continue
-            states = NEES_GROUPS.get(name)
-            dof = float(states.stop - states.start) if states else _sample_dof(total)
-            out.append({"estimator": row, "quantity": name} | total.summary(times, settled, dof))
+            if (total := gathered.tests.get((row, name))) is not None:
+                out.append({"estimator": row, "quantity": name} | total.summary(times, settled))
     columns = "estimator quantity dof n_runs mean lower upper share_inside".split()
     return pd.DataFrame(out, columns=columns)
-
-
-def _sample_dof(total: statistics.ConsistencySum) -> float:
-    """NIS is pooled over the innovations of a grid cell: state it per cell of one run."""
-    used = total.dof > 0
-    return float(np.median(total.dof[used]) / max(1, total.runs)) if used.any() else np.nan
 
 
 def _write_envelopes(store: Store, gathered: _Pass, series: ColumnStore, times: Array) -> None:

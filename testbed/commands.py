@@ -304,6 +304,8 @@ def show(what: str) -> None:
     elif what == "sensors":
         from testbed.sensors import list_sensors
 
-        print("\n".join(list_sensors()))
+        for kind, entries in list_sensors().items():
+            for name, source in entries.items():
+                print(f"{kind:5s} {name:14s} {source}")
     else:
         raise InputError(f"cannot list '{what}'; {nearest(what, ['scenarios', 'aircraft', 'sensors', 'estimators'])}")

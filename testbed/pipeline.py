@@ -5,6 +5,8 @@ The Monte Carlo runner and the Python API go through the same four.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from testbed.errors import InputError
@@ -18,6 +20,17 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from testbed.flight.config import FlightConfig
+
+
+@contextmanager
+def _named(scenario: Scenario, section: str) -> Iterator[None]:
+    """Put the scenario's file and section in front of what is found wrong with them only when they are used."""
+    try:
+        yield
+    except InputError as error:
+        if scenario.source_path in str(error):
+            raise
+        raise InputError(f"{scenario.source_path}: [{section}] {error}") from None
 
 
 def flight_varies(scenario: Scenario) -> bool:
@@ -58,8 +71,9 @@ def fly(scenario: Scenario, run: int = 0) -> Trajectory:
         return reference
     from testbed.flight import fly_flight
 
-    config, seed = flight_of_run(scenario, run)
-    return fly_flight(config, seed)
+    with _named(scenario, "flight"):
+        config, seed = flight_of_run(scenario, run)
+        return fly_flight(config, seed)
 
 
 def sense(
@@ -79,13 +93,15 @@ def sense(
         raise InputError(f"{scenario.source_path}: no [sensors.imu]")
     settings = scenario.monte_carlo
     seed = settings.seed if seed is None else seed
-    return sense_flight(scenario.sensors, scenario.initial, trajectory, seed, run, vary=settings.vary)
+    with _named(scenario, "sensors"):
+        return sense_flight(scenario.sensors, scenario.initial, trajectory, seed, run, vary=settings.vary)
 
 
 def windows_of(scenario: Scenario, trajectory: Trajectory, log: SensorLog | None = None) -> list[Window]:
     """The scoring windows of a scenario on this flight and log."""
     outages = log.gnss.outages if log is not None and log.gnss is not None else ()
-    return resolve_windows(scenario.windows, trajectory, outages)
+    with _named(scenario, "windows"):
+        return resolve_windows(scenario.windows, trajectory, outages)
 
 
 def score(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import testbed
 from testbed import executors, pipeline
 from testbed.errors import InputError, TestbedError, nearest
 from testbed.records import Trajectory
@@ -99,7 +100,7 @@ def run(
     if timeout is not None and timeout <= 0:
         raise InputError(f"--timeout {timeout:g}: must be above 0 s")
     setup = Setup(scenario, tuple(str(Path(p).resolve()) for p in plugins), timeout)
-    identity = {"scenario": scenario.digest(), "plugins": files_digest(setup.plugins)}
+    identity = {"scenario": scenario.digest(), "plugins": files_digest(setup.plugins), "testbed": testbed.__version__}
     trajectory = prepare(setup)
     store = Store.create(out, identity, scenario.to_toml(), resume)
     started = time.time()
@@ -182,8 +183,6 @@ def provenance(scenario: Scenario, setup: Setup) -> dict[str, Any]:
     """What a reader of the result will want to know: versions, git revision, machine, seeds."""
     import platform
     from importlib.metadata import PackageNotFoundError, version
-
-    import testbed
 
     packages = {}
     for name in ("numpy", "scipy", "numba", "pandas", "jsbsim", "torch"):

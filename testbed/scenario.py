@@ -257,6 +257,8 @@ def load_scenario(
     for key, value in (overrides or {}).items():
         set_key(data, key, value, str(path))
     _inline_parameter_files(data, path)
+    if "recording" in data and "flight" not in data:
+        data = merge({"monte_carlo": {"runs": 1}}, data)  # every run of a recording is the same
     scenario = validate(Scenario, data, str(path), path.resolve().parent)
     scenario._source, scenario._variant, scenario._profile = str(path.resolve()), variant, profile
     _check_estimators(scenario)

@@ -64,7 +64,7 @@ def _explain(model: type[BaseModel], problem: dict[str, Any]) -> str:
     if kind == "union_tag_invalid":
         context = problem["ctx"]
         valid = [name.strip(" '") for name in context["expected_tags"].split(",")]
-        return f"'{shown}': unknown {context['discriminator']} '{context['tag']}'; {nearest(context['tag'], valid)}"
+        return f"'{shown}': unknown {context['discriminator'].strip(chr(39))} '{context['tag']}'; {nearest(context['tag'], valid)}"
     got = problem.get("input")
     value = f", got {got!r}" if isinstance(got, str | int | float | bool) else ""
     return f"'{shown}': {message[0].lower()}{message[1:]}{value}"

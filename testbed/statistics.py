@@ -117,30 +117,40 @@ def chi_square_bounds(dof: Array) -> tuple[Array, Array]:
 
 @dataclass
 class ConsistencySum:
-    """NEES or NIS summed over runs at each time of a grid: ``value`` (T,) and its degrees of freedom ``dof`` (T,)."""
+    """NEES or NIS summed over runs at each time of a grid: ``value``, degrees of freedom, number of samples; all (T,)."""
 
     value: Array
     dof: Array
+    count: Array
     runs: int = 0
 
-    def add(self, value: Array, dof: Array) -> None:
+    @classmethod
+    def zero(cls, points: int) -> ConsistencySum:
+        """Nothing yet, at so many times."""
+        return cls(np.zeros(points), np.zeros(points), np.zeros(points))
+
+    def add(self, value: Array, dof: Array, count: Array) -> None:
         """Add a run; times where it has no finite value stay out."""
         used = np.isfinite(value) & (dof > 0)
         self.value[used] += value[used]
         self.dof[used] += dof[used]
+        self.count[used] += count[used]
         self.runs += 1
 
-    def summary(self, times: Array, settled_s: float, dof: float) -> dict[str, float]:
+    def summary(self, times: Array, settled_s: float) -> dict[str, float]:
         """Mean, bounds and share of time inside them of the run-averaged statistic after ``settled_s``.
 
-        ``dof`` is that of one sample of one run. Where the grid pools several samples (NIS) so do the bounds.
+        ``dof``, ``mean`` and the bounds are those of one sample (the bounds: of the average over runs, and over the
+        samples that the grid pools, in the middle of the times).
         """
         used = (self.dof > 0) & (times > settled_s)
         if not used.any():
-            return {"dof": dof, "n_runs": self.runs, "mean": np.nan, "lower": np.nan, "upper": np.nan, "share_inside": np.nan}
+            nothing = dict.fromkeys(("mean", "lower", "upper", "share_inside"), np.nan)
+            return {"dof": np.nan, "n_runs": self.runs} | nothing
         value, total = self.value[used], self.dof[used]
         lower, upper = chi_square_bounds(total)
         inside = (value >= lower) & (value <= upper)
+        dof = float(total.sum() / self.count[used].sum())
         return {
             "dof": dof,
             "n_runs": self.runs,

@@ -184,7 +184,7 @@ def envelope_times(trajectory: Trajectory) -> Array:
 def time_series(
     series: metrics.ErrorSeries, solution: NavSolution, tests: dict[str, metrics.Consistency], trajectory: Trajectory
 ) -> dict[str, Array]:
-    """Float32 series at `envelope_times`: errors, ``sigma_`` of each, and sums of each test with its ``dof_``."""
+    """Float32 series at `envelope_times`: errors, ``sigma_`` of each, and sums of each test, ``dof_``, ``count_``."""
     grid = envelope_times(trajectory)
     out: dict[str, Array] = {}
     covered = (grid >= series.t[0] - 1e-6) & (grid <= series.t[-1] + 1e-6)
@@ -208,4 +208,5 @@ def time_series(
         keep = (cell >= 0) & (cell < len(grid))
         out[name] = np.bincount(cell[keep], test.value[keep], len(grid)).astype(np.float32)
         out[f"dof_{name}"] = np.bincount(cell[keep], test.dof[keep], len(grid)).astype(np.float32)
+        out[f"count_{name}"] = np.bincount(cell[keep], minlength=len(grid)).astype(np.float32)
     return out

@@ -86,17 +86,17 @@ def test_one_draw_serves_all_cells_so_blocks_do_not_matter():
 
 def test_consistency_bounds_hold_95_percent_of_the_time_for_a_consistent_filter():
     rng, times = np.random.default_rng(9), np.arange(1.0, 1001.0)
-    honest = statistics.ConsistencySum(np.zeros(1000), np.zeros(1000))
-    proud = statistics.ConsistencySum(np.zeros(1000), np.zeros(1000))
+    honest = statistics.ConsistencySum.zero(1000)
+    proud = statistics.ConsistencySum.zero(1000)
     for _ in range(50):
         nees = rng.chisquare(3, 1000)
-        honest.add(nees, np.full(1000, 3.0))
-        proud.add(2.0 * nees, np.full(1000, 3.0))
-    row = honest.summary(times, 0.0, 3.0)
+        honest.add(nees, np.full(1000, 3.0), np.ones(1000))
+        proud.add(2.0 * nees, np.full(1000, 3.0), np.ones(1000))
+    row = honest.summary(times, 0.0)
     assert abs(row["share_inside"] - 0.95) <= 4 * np.sqrt(0.95 * 0.05 / 1000)
     assert row["lower"] < row["mean"] < row["upper"]
     assert row["lower"] == pytest.approx(stats.chi2.ppf(0.025, 150) / 50)
-    assert proud.summary(times, 0.0, 3.0)["share_inside"] < 0.01
+    assert proud.summary(times, 0.0)["share_inside"] < 0.01
 
 
 def test_envelope_of_known_noise():

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from analytic_flight import analytic_flight
 
 from estimators.ins import Ins
 from testbed import earth
 from testbed.records import ImuSamples, InitialState, SensorLog
 from testbed.rotations import attitude_errors, quat_rotate_inverse
-from tests.analytic_flight import analytic_flight
+
 
 
 def perfect_log(flight):

@@ -116,6 +116,10 @@ def _pitch(m, target, gain, memory, schedule, v, dt):
     wanted = target[CLIMB]
     if target[VERTICAL_MODE] == HOLD_ALTITUDE:
         wanted = clip(gain[ALTITUDE_GAIN] * (target[ALTITUDE] - m[HEIGHT]), -gain[CLIMB_LIMIT], gain[CLIMB_LIMIT])
+    # speed goes before height: from 8 % below the reference on, the climb is traded in, at 28 % it is a dive
+    slow = 0.92 - v / max(memory[SPEED_REFERENCE], 1.0)
+    if slow > 0.0:
+        wanted = min(wanted, gain[CLIMB_LIMIT] * (1.0 - 10.0 * slow))
     ramp = gain[CLIMB_ACCELERATION] * dt
     memory[CLIMB_REFERENCE] += clip(wanted - memory[CLIMB_REFERENCE], -ramp, ramp)
     climb_error = memory[CLIMB_REFERENCE] - m[CLIMB_RATE]

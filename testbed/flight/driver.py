@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.earth import metres_per_radian
+from testbed.earth import G0, metres_per_radian
 from testbed.errors import FlightError, TestbedError
 from testbed.flight import autopilot_kernels as ap
 from testbed.flight import manoeuvres
 from testbed.flight.aircraft import Aircraft, gain_array
-from testbed.flight.config import FlightConfig, Straight
+from testbed.flight.config import FlightConfig, Loiter, Straight
 from testbed.flight.simulator import FOOT, KELVIN_PER_RANKINE, STATE, Simulator
 from testbed.records import Phase
 
@@ -84,28 +84,37 @@ def script_duration(config: FlightConfig) -> float | None:
 
 
 def check_script(config: FlightConfig, aircraft: Aircraft) -> None:
-    """Refuse what the aircraft cannot do before it takes off: speeds, bank angles and radii beyond its limits."""
-    limits = aircraft.limits
-    low, high = limits.speed_min_mps, limits.speed_max_mps
-    speed = config.initial.speed_mps
-    if not low <= speed <= high:
-        raise FlightError(f"initial: speed {speed:g} m/s, but '{config.aircraft}' flies {low:g} to {high:g} m/s")
+    """Refuse what the aircraft cannot do before it takes off: speeds, banks, loads and climbs beyond its limits."""
+    name, limits, speed = config.aircraft, aircraft.limits, config.initial.speed_mps
+    _check_speed("initial", name, aircraft, speed)
     for number, m in enumerate(config.manoeuvres, 1):
         place = f"manoeuvre {number} of {len(config.manoeuvres)} ({m.type})"
         wanted = getattr(m, "to_speed_mps", None) or m.speed_mps
         if wanted is not None:
-            if not low <= wanted <= high:
-                raise FlightError(f"{place}: speed {wanted:g} m/s, but '{config.aircraft}' flies {low:g} to {high:g} m/s")
+            _check_speed(place, name, aircraft, wanted)
             speed = wanted
         bank = abs(getattr(m, "bank_deg", 0.0))
-        if (radius := getattr(m, "radius_m", None)) is not None and m.type == "loiter":
-            bank = math.degrees(math.atan(speed * speed / (9.81 * radius)))
+        if isinstance(m, Loiter):
+            bank = math.degrees(math.atan(speed * speed / (G0 * m.radius_m)))
         load = 1.0 / math.cos(math.radians(bank))
         if bank > limits.bank_max_deg or load > limits.load_factor_max:
             raise FlightError(
-                f"{place}: needs {bank:.0f}° of bank and {load:.1f} g at {speed:g} m/s, but '{config.aircraft}' stands "
+                f"{place}: needs {bank:.0f}° of bank and {load:.1f} g at {speed:g} m/s, but '{name}' stands "
                 f"{limits.bank_max_deg:g}° and {limits.load_factor_max:g} g"
             )
+        climb = abs(getattr(m, "climb_rate_mps", None) or 0.0)
+        if angle := getattr(m, "path_angle_deg", None):
+            climb = speed * math.sin(math.radians(angle))
+        if climb > limits.climb_max_mps:
+            raise FlightError(
+                f"{place}: {climb:.1f} m/s up or down, but '{name}' climbs and descends at most {limits.climb_max_mps:g} m/s"
+            )
+
+
+def _check_speed(place: str, name: str, aircraft: Aircraft, speed: float) -> None:
+    low, high = aircraft.limits.speed_min_mps, aircraft.limits.speed_max_mps
+    if not low <= speed <= high:
+        raise FlightError(f"{place}: speed {speed:g} m/s, but '{name}' flies {low:g} to {high:g} m/s")
 
 
 class _Pilot:
@@ -240,7 +249,7 @@ class _Pilot:
         target, climb_rate = self.target, m[ap.CLIMB_RATE]
         if target[ap.VERTICAL_MODE] == ap.HOLD_CLIMB:
             wanted = target[ap.CLIMB]
-            if abs(climb_rate - wanted) > 2.0 + 0.5 * abs(wanted):
+            if abs(climb_rate - wanted) > 1.5 + 0.4 * abs(wanted):
                 return f"a climb rate of {wanted:.1f} m/s (it climbs {climb_rate:.1f} m/s)"
         else:
             miss = m[ap.HEIGHT] - target[ap.ALTITUDE]

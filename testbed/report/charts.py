@@ -199,14 +199,16 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str], colours: Mapping
 def timings(table: pd.DataFrame, estimators: Sequence[str], colours: Mapping[str, int]) -> Figure:
     """Time per IMU sample, one bar each."""
     traces = []
-    rows = table.set_index("estimator")["median_us"]
+    rows = table.set_index("estimator")["median_us"].dropna()
+    logarithmic = len(rows) > 0 and rows.max() > 30 * rows.min() > 0
+    start = 0.5 * rows.min() if logarithmic else 0.0
     for k, label in enumerate(estimators):
         if label in rows.index:
             y, value = len(estimators) - 1 - k, float(rows[label])
             hover = f"{label}: {value:.3g} µs per sample<extra></extra>"
-            bar = {"line": {"width": 14}, "hovertemplate": hover}
-            traces.append(_line([0, value], [y, y], label, _meta(label, colours), **bar))
-    x = {"title": {"text": "time per IMU sample, µs"}, "rangemode": "tozero"}
+            bar = {"line": {"width": 12}, "hovertemplate": hover}
+            traces.append(_line([start, value], [y, y], label, _meta(label, colours), **bar))
+    x: Figure = {"title": {"text": "time per IMU sample, µs"}, "type": "log" if logarithmic else "linear"}
     return {"data": traces, "layout": _categories(list(estimators), x, 34)}
 
 
@@ -250,7 +252,8 @@ def extras(frame: pd.DataFrame, outages: Spans, phases: Phases, components: Mapp
         for k, (component, group) in enumerate(frame[frame["name"] == name].groupby("component", sort=False)):
             group, label = thin(group, POINTS), component_label(component, k, components.get(name, ()))
             look = {"dash": DASHES[k % len(DASHES)], "width": 1.5}
-            meta = {"colour": k, "shown": label not in shown}
+            alone = (frame.loc[frame["name"] == name, "component"] == component).all()
+            meta = {"colour": k, "shown": label not in shown and not alone}
             shown.add(label)
             traces.append(_line(group["time_s"], group["value"], label, meta, _axis(row), line=look))
     layout = _stacked([n.replace("_", " ") for n in names], outages, phases, [None] * len(names), height=210)
@@ -286,10 +289,11 @@ def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
     if len(table := result.consistency.dropna(subset=["mean"])):
         found["consistency"] = {"views": {"": consistency(table, result.estimators, colours)}}
     if result.innovations:
+        order = sorted(result.innovations, key=lambda label: label != lead.winner)
         views = {
             e: innovations(f, e, colours, _channel_names(result, e, f), spans, phases)
-            for e, f in result.innovations.items()
-            if len(f) and e in colours
+            for e in order
+            if len(f := result.innovations[e]) and e in colours
         }
         found["innovations"] = {"views": views}
     if result.extras:

@@ -54,16 +54,32 @@ def headline(result: Result) -> Headline:
         return Headline(metric, window, winner, [f"{winner}: {words} {where} {value}."])
     runs = result.per_run([metric], window).pivot_table(index="run", columns="estimator", values="value")
     runner_up, baseline = order[1], result.estimators[0]
-    gain = _improvement(result, runs, winner, runner_up)
-    sentences = [_versus(first, f"{runner_up}, the next best", gain)]
-    if baseline not in (winner, runner_up):
-        against = _difference(_improvement(result, runs, winner, baseline))
-        sentences.append(f"Against {baseline}, the first listed, it is {against}.")
+    gains = {rival: _improvement(result, runs, winner, rival) for rival in order[1:]}
+    level = [rival for rival in order[1:] if not gains[rival].low > 0.0]
+    clear = [rival for rival in order[1:] if gains[rival].low > 0.0]
+    runner_up = order[1]
+    if not level:
+        sentences = [
+            f"{first}, {percent(gains[runner_up].percent)} % below {runner_up}, the next best ({_sureness(gains[runner_up])})."
+        ]
+    else:
+        sentences = [
+            f"{first}. The runs do not tell it apart from {_listed(level)} (lead over {level[0]}: {_difference(gains[level[0]])})."
+        ]
+        if clear:
+            sentences.append(
+                f"It is better than {clear[0]} by {percent(gains[clear[0]].percent)} % ({_sureness(gains[clear[0]])})."
+            )
+    baseline = result.estimators[0]
+    if baseline not in (winner, runner_up, *clear[: bool(level)]):
+        sentences.append(
+            f"Against {baseline}, the first listed, it is {_difference(gains[baseline])}." if baseline in gains else ""
+        )
     bad = result.runs[result.runs["status"] != "ok"]
     if len(bad):
         counts = bad.groupby("estimator", sort=False).size()
         sentences.append("Runs lost: " + ", ".join(f"{e} {n} of {result.run_count}" for e, n in counts.items()) + ".")
-    return Headline(metric, window, winner, sentences, gain)
+    return Headline(metric, window, winner, [s for s in sentences if s], gains[runner_up])
 
 
 def main_measure(result: Result) -> tuple[str, str]:
@@ -87,12 +103,8 @@ def _improvement(result: Result, runs: pd.DataFrame, better: str, than: str) -> 
     return improvement(runs[better].to_numpy(dtype=float), runs[than].to_numpy(dtype=float), seed) or NONE
 
 
-def _versus(first: str, rival: str, gain: Improvement) -> str:
-    if not math.isfinite(gain.percent):
-        return f"{first}; next is {rival}."
-    if math.isfinite(gain.low) and gain.low <= 0.0:
-        return f"{first}. Its lead over {rival}, is not significant: {_difference(gain)}."
-    return f"{first}, {percent(gain.percent)} % below {rival} ({_sureness(gain)})."
+def _listed(names: list[str]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def _difference(gain: Improvement) -> str:

@@ -108,6 +108,8 @@ def percent(value: object) -> str:
     x = float("nan") if value is None else float(value)  # type: ignore[arg-type]
     if not math.isfinite(x):
         return MISSING
+    if 99.95 <= x < 100.0:
+        return "> 99.9"
     return (f"{x:.1f}" if abs(x) < 100 else f"{x:.0f}").replace("-", "−")
 
 

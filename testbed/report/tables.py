@@ -122,7 +122,7 @@ def claims(result: Result) -> Table | None:
         ]
         rows.append((str(claim["id"]), cells))
     note = "Improvement: by how many percent the first method's error is lower; negative means higher. Runs are paired by seed."
-    return Table("claims", "Claims of the paper", columns, rows, note, corner="No.")
+    return Table("claims", "Claims", columns, rows, note, corner="No.")
 
 
 def paper_tables(result: Result) -> list[Table]:
@@ -247,19 +247,19 @@ def failures(result: Result) -> Table | None:
     return Table("failures", "Runs that diverged or failed", columns, rows, note)
 
 
-def _mean_cell(result: Result, window: str, metric: str, estimator: str, best: str | None) -> Cell:
+def _mean_cell(result: Result, window: str, metric: str, estimator: str, best: str) -> Cell:
     mean, low, high = (_lookup(result, window, metric, estimator, c) for c in ("mean", "ci_low", "ci_high"))
-    return Cell(number(mean), _value(mean), _interval(low, high), best=estimator == best)
+    return Cell(number(mean), _value(mean), _interval(low, high), best=number(mean) == best)
 
 
 def _lookup(result: Result, window: str, metric: str, estimator: str, column: str) -> float:
     return result.means.get((window, metric, estimator), {}).get(column, math.nan)
 
 
-def _best(result: Result, window: str, metric: str) -> str | None:
-    means = {e: _lookup(result, window, metric, e, "mean") for e in result.estimators}
-    means = {e: v for e, v in means.items() if math.isfinite(v)}
-    return min(means, key=means.__getitem__) if len(means) > 1 else None
+def _best(result: Result, window: str, metric: str) -> str:
+    """The lowest mean as printed, so that equal figures are marked alike; empty where there is nothing to compare."""
+    means = [v for e in result.estimators if math.isfinite(v := _lookup(result, window, metric, e, "mean"))]
+    return number(min(means)) if len(means) > 1 else ""
 
 
 def _interval(low: object, high: object, form: Any = number) -> str:

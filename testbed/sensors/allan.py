@@ -68,7 +68,7 @@ def allan_deviation(samples: Array, rate_hz: float) -> Curve:
 def pooled(curves: list[Curve]) -> Curve:
     """The curve of several axes of one kind: the root of their mean Allan variance."""
     variance = np.mean([curve.deviation**2 for curve in curves], axis=0)
-    return Curve(curves[0].tau, np.sqrt(variance), sum(curve.clusters for curve in curves))
+    return Curve(curves[0].tau, np.sqrt(variance), np.sum([curve.clusters for curve in curves], axis=0))
 
 
 def model_deviation(tau: Array, white_noise: float, markov_sigma: float, correlation_time: float, rrw: float) -> Array:

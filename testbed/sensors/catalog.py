@@ -113,14 +113,11 @@ def read(file: Path) -> dict[str, dict[str, dict[str, Any]]]:
     return tables
 
 
-def check_keys(kind: str, table: Mapping[str, Any], where: str) -> None:
-    """Raises InputError unless every key and value of a table of overrides is valid."""
-    _resolve(kind, table, where)
-
-
 def _resolve(kind: str, table: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Field of the specification (dotted path) to value in SI."""
-    valid, out, origin = keys(kind), {}, {}
+    valid = keys(kind)
+    out: dict[str, Any] = {}
+    origin: dict[str, str] = {}
     for key, value in table.items():
         if key in REMARKS:
             continue

@@ -109,7 +109,7 @@ class Tone(Table):
 class Vibration(Table):
     """Engine vibration: sinusoids and band noise."""
 
-    tones: Annotated[list[Tone], Field(default_factory=list)]
+    tones: list[Tone] = Field(default_factory=list)
     band_hz: Window | None = None
     band_accel_g: Triple = (0.0, 0.0, 0.0)
     """RMS of the band noise along b (at rpm_nominal if the trajectory has the engine speed)."""
@@ -126,7 +126,7 @@ class ImuConfig(SensorTable):
     """Default: the rate of the trajectory. The trajectory's rate must be a whole multiple of it."""
     lever_arm_m: Triple = (0.0, 0.0, 0.0)
     """From the reference point of the trajectory to the IMU, in b."""
-    disable: Annotated[list[ImuStep], Field(default_factory=list)]
+    disable: list[ImuStep] = Field(default_factory=list)
     temperature: Temperature | None = None
     vibration: Vibration | None = None
 
@@ -183,10 +183,10 @@ class GnssConfig(SensorTable):
     """From the IMU to the antenna, in b."""
     start_up_s: NonNegative = 0.0
     """No fix before this time."""
-    outages: Annotated[list[Window], Field(default_factory=list)]
+    outages: list[Window] = Field(default_factory=list)
     random_outages: RandomOutages | None = None
     outliers: OutlierBursts | None = None
-    degraded: Annotated[list[Degraded], Field(default_factory=list)]
+    degraded: list[Degraded] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _outages_ordered(self) -> GnssConfig:
@@ -225,7 +225,7 @@ class MagConfig(SensorTable):
     rate_hz: Positive | None = None
     year: Annotated[float, Field(ge=2010.0, lt=2030.0)] = 2025.0
     """Decimal year of the geomagnetic model."""
-    disturbances: Annotated[list[Disturbance], Field(default_factory=list)]
+    disturbances: list[Disturbance] = Field(default_factory=list)
 
     def spec(self) -> MagSpec:
         """The specification, without the local field."""
@@ -246,7 +246,7 @@ class BaroConfig(SensorTable):
 class SensorsConfig(Table):
     """``[sensors]``"""
 
-    imu: ImuConfig = ImuConfig()
+    imu: ImuConfig = Field(default_factory=ImuConfig)
     gnss: GnssConfig | None = None
     mag: MagConfig | None = None
     baro: BaroConfig | None = None

@@ -36,6 +36,9 @@ How to read it:
   times). The fit weighs cluster times as if they were independent, which costs a little more.
 - The quantisation error of a coarse part (ADIS16405: 3.33 mg/LSB) is within the data sheet's random walk, which is
   measured at the output: the generator draws only what quantisation does not add.
+- A first-order Gauss-Markov process has a hump, not a long flat. Where a part's white noise is low (accelerometers of the
+  ADIS16488) its curve dips below the bias instability before the hump, and behind it falls again; a real part's flicker
+  noise would do neither. Data sheets give no correlation time; see the note at the head of the catalogue.
 - A difference within the limit says that the generator agrees with the catalogue, not that the catalogue agrees with a part.
 
 {plots}
@@ -71,13 +74,14 @@ def _markdown(table: pd.DataFrame) -> str:
         "| IMU | figure | unit | data sheet | fitted | std | difference | limit | |",
         "| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | --- |",
     ]
-    for row in table[table["axis"] == "all"].itertuples():
-        limit = LIMITS_PCT[row.figure]
-        verdict = "met" if abs(row.difference_pct) <= limit else "MISSED"
-        lines.append(
-            f"| {row.imu} | {row.triad} {row.figure} | {row.unit} | {row.data_sheet:.4g} | {row.fitted:.4g} | {row.std:.2g} "
-            f"| {row.difference_pct:+.2f} % | {limit:g} % | {verdict} |"
-        )
+    for row in table[table["axis"] == "all"].to_dict("records"):
+        limit = LIMITS_PCT[row["figure"]]
+        verdict = "met" if abs(row["difference_pct"]) <= limit else "MISSED"
+        cells = [
+            *(row["imu"], f"{row['triad']} {row['figure']}", row["unit"], f"{row['data_sheet']:.4g}"),
+            *(f"{row['fitted']:.4g}", f"{row['std']:.2g}", f"{row['difference_pct']:+.2f} %", f"{limit:g} %", verdict),
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 

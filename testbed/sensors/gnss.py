@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.earth import earth_rate_n, metres_per_radian
 from testbed.errors import InputError
@@ -122,7 +123,7 @@ def _random_windows(wanted: RandomOutages, start: float, end: float, draws: Draw
     )
 
 
-def _inside(windows: Windows, t: Array) -> Array:
+def _inside(windows: Windows, t: Array) -> NDArray[np.bool_]:
     inside = np.zeros(len(t), dtype=bool)
     for start, end in windows:
         inside |= (t >= start) & (t < end)

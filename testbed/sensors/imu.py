@@ -116,7 +116,7 @@ def _scale_and_misalignment(setup: Setup) -> list[Step]:
             setup.constants[f"{name}_misalignment"] = turn
             matrix = matrix @ turn
         if not np.array_equal(matrix, np.eye(3)):
-            steps.append(lambda block, name=name, matrix=matrix: kernels.apply_matrix(block.triad(name), matrix))
+            steps.append(_on_triad(name, kernels.apply_matrix, matrix))
     return steps
 
 
@@ -140,9 +140,7 @@ def _nonlinearity(setup: Setup) -> list[Step]:
             sign = setup.draws.turn_on(f"imu.{name}.nonlinearity").choice([-1.0, 1.0], 3)
             amplitude = spec.nonlinearity * spec.range * sign
             setup.constants[f"{name}_nonlinearity"] = amplitude
-            steps.append(
-                lambda block, name=name, a=amplitude, r=spec.range: kernels.add_chebyshev(block.triad(name), a, r)
-            )
+            steps.append(_on_triad(name, kernels.add_chebyshev, amplitude, spec.range))
     return steps
 
 
@@ -260,15 +258,18 @@ def butterworth(bandwidth_hz: float, rate_hz: float) -> tuple[Array, Array]:
 
 
 def _saturation(setup: Setup) -> list[Step]:
-    active = [
-        (name, spec.range) for name, spec in setup.triads() if setup.on("saturation") and math.isfinite(spec.range)
-    ]
-    return [lambda block, name=name, r=r: kernels.saturate(block.triad(name), r) for name, r in active]
+    limited = [(name, spec.range) for name, spec in setup.triads() if math.isfinite(spec.range)]
+    return [_on_triad(name, kernels.saturate, limit) for name, limit in limited if setup.on("saturation")]
 
 
 def _quantisation(setup: Setup) -> list[Step]:
-    active = [(name, spec.resolution) for name, spec in setup.triads() if setup.on("quantisation") and spec.resolution]
-    return [lambda block, name=name, lsb=lsb: kernels.quantise(block.triad(name), lsb) for name, lsb in active]
+    coarse = [(name, spec.resolution) for name, spec in setup.triads() if spec.resolution]
+    return [_on_triad(name, kernels.quantise, lsb) for name, lsb in coarse if setup.on("quantisation")]
+
+
+def _on_triad(name: str, kernel: Callable[..., None], *parameters: Any) -> Step:
+    """A step that is one kernel on one triad."""
+    return lambda block: kernel(block.triad(name), *parameters)
 
 
 CHAIN: tuple[Callable[[Setup], list[Step]], ...] = (

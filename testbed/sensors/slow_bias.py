@@ -52,7 +52,9 @@ def draw(name: str, spec: TriadSpec, config: ImuConfig, start: float, end: float
     if "temperature" not in off and config.temperature is not None and spec.bias_temperature:
         per_kelvin = spec.bias_temperature * draws.turn_on(f"imu.{name}.bias_temperature").standard_normal(3)
         constants[f"{name}_bias_temperature"] = per_kelvin
-        knots += np.outer(kelvin(config.temperature, start + step * np.arange(len(knots))), per_kelvin)
+        knots += np.outer(
+            kelvin(config.temperature, start + step * np.arange(len(knots), dtype=np.float64)), per_kelvin
+        )
     return SlowBias(start, step, knots, constants)
 
 

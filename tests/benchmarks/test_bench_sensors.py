@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from analytic_flight import analytic_flight
 
+from testbed.records import Trajectory
 from testbed.schema import validate
 from testbed.sensors import sense_flight, static_log
 from testbed.sensors.config import InitialConfig, SensorsConfig
@@ -27,7 +27,10 @@ def test_imu(benchmark, model):
 
 @pytest.mark.benchmark(group="sensing: all sensors of a 300 s flight at 200 Hz")
 def test_flight(benchmark):
-    flight = analytic_flight(duration_s=300.0, rate_hz=200.0)
+    n = 60_001
+    t, zero = np.arange(n) / 200.0, np.zeros((n, 3))
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    flight = Trajectory(t, 0.7 + 0.0 * t, 0.1 + 0.0 * t, 500.0 + 0.0 * t, zero, level, zero - [0.0, 0.0, 9.8], zero)
     table = {"imu": {"model": "ADIS16405"}, "gnss": {"model": "Garmin16x"}, "mag": {"model": "ADIS16405"}, "baro": {}}
     sensors = validate(SensorsConfig, table, "bench")
     sense_flight(sensors, InitialConfig(), flight, 0)

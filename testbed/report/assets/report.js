@@ -199,11 +199,11 @@
     figure.dataset.drawn = "yes";
     return done;
   }
+  function colourKeys() {
+    all("[data-colour]").forEach((key) => { key.style.borderColor = colour({ colour: Number(key.dataset.colour) }, {}); });
+  }
   function restyle() {
-    all("[data-colour]").forEach((i) => {
-      const pair = data?.colours ?? null;
-      if (pair) i.style.borderColor = pair[Number(i.dataset.colour) % pair.length][dark() ? 1 : 0];
-    });
+    if (data) colourKeys();
     if (window.Plotly) figures.filter((f) => f.dataset.drawn).forEach(draw);
   }
   function fail(figure, error) {
@@ -260,9 +260,11 @@
   addEventListener("beforeprint", () => {
     printing = true;
     if (!window.Plotly) return;
+    colourKeys();
     for (const figure of figures.filter((f) => f.dataset.drawn)) {
       const [traces, layout] = dress(figure);
-      window.Plotly.react(one(".plot", figure), traces, { ...layout, autosize: false, width: PAPER_WIDTH }, config(figure));
+      const size = { autosize: false, width: PAPER_WIDTH, height: Math.round(0.8 * layout.height) };
+      window.Plotly.react(one(".plot", figure), traces, { ...layout, ...size, font: { ...layout.font, size: 10 } }, config(figure));
     }
   });
   addEventListener("afterprint", () => { printing = false; restyle(); });
