@@ -136,7 +136,9 @@ class DirectProblem:
     outputs: tuple[Array, ...] = field(repr=False)
 
     @classmethod
-    def of(cls, log: SensorLog, name: str, noise_scales: tuple[float, ...], std_scales: tuple[float, ...]) -> DirectProblem:
+    def of(
+        cls, log: SensorLog, name: str, noise_scales: tuple[float, ...], std_scales: tuple[float, ...]
+    ) -> DirectProblem:
         """Convert ``log``. Raises InputError when it has no GNSS."""
         from estimators.motion_models import Setting
         from testbed import earth
@@ -224,7 +226,8 @@ def _to_rotation_vector(snapshots: Array, states: Array, stretch: Array) -> Arra
     jacobian[:, range(15), range(15)] = stretch
     for k, row in enumerate(states):
         jacobian[k, 6:9, 6:9] = euler_error_matrix(row[6], row[7], row[8])
-    return jacobian @ snapshots @ jacobian.transpose(0, 2, 1)
+    with np.errstate(all="ignore"):  # a diverged filter holds no finite numbers, which the scorer will say
+        return jacobian @ snapshots @ jacobian.transpose(0, 2, 1)
 
 
 def chi_square_threshold(significance: float) -> float:

@@ -56,9 +56,13 @@ class Branch:
                 raise InputError(f"{owner}: {place} has no key '{key}'; {nearest(str(key), names)}")
         branch = cls(**table)
         if branch.model not in MODELS:
-            raise InputError(f"{owner}: {place}.model = '{branch.model}' is unknown; {nearest(str(branch.model), MODELS)}")
+            raise InputError(
+                f"{owner}: {place}.model = '{branch.model}' is unknown; {nearest(str(branch.model), MODELS)}"
+            )
         if branch.filter and branch.filter not in FILTERS:
-            raise InputError(f"{owner}: {place}.filter = '{branch.filter}' is unknown; {nearest(str(branch.filter), FILTERS)}")
+            raise InputError(
+                f"{owner}: {place}.filter = '{branch.filter}' is unknown; {nearest(str(branch.filter), FILTERS)}"
+            )
         if branch.velocity_noise is not None:
             check_range(owner, f"{place}.velocity_noise", branch.velocity_noise, 0.0, 1e3)
         check_range(owner, f"{place}.noise_scale", branch.noise_scale, 1e-3, 1e3)

@@ -165,7 +165,9 @@ def hold_acceleration(velocity, last, elapsed, manoeuvre_time, held):
 
 
 @njit(cache=True)
-def filter_log(start, t, imu, gnss_t, gnss_z, gnss_r, x, p, branches, probability, transition, setting, options, every, out):
+def filter_log(
+    start, t, imu, gnss_t, gnss_z, gnss_r, x, p, branches, probability, transition, setting, options, every, out
+):
     """B interacting filters over a whole log, all from ``x``, ``p``, which are overwritten.
 
     ``branches`` = (models (B,), filters (B,), aided (B,), noise (B,13)); ``probability`` (B,) initial and overwritten;

@@ -104,7 +104,7 @@ def filter_log(
             x[:] = 0.0
             update(x, p, residual, sensitivity, fix_variance[next_fix], innovation_covariance[next_fix], scratch)
             lat, lon, h, v, qn = correct(lat, lon, h, v, qn, b, x)
-            reset(p, (x[3], x[4], x[5]), x)
+            reset(p, (x[3], x[4], x[5]))
             m = quat_to_matrix(qn)
             next_fix += 1
         now = t[k]
@@ -183,23 +183,19 @@ def correct(lat, lon, h, v_n, q_nb, b, x):
 
 
 @njit(cache=True)
-def reset(p, change_v, x):
-    """Carry P (in place) from errors about the old estimate to errors about the new one, after `correct` with ``x``.
+def reset(p, change_v):
+    """Carry P (in place) to the corrected velocity, which `correct` moved by ``change_v``.
 
-    Attitude: (I + [x_phi x]/2) phi (Sola, eq. 287 for an error in n). Velocity: the error that is Gaussian is that of the
-    velocity turned back by the attitude error, dv - phi x v (Barrau and Bonnabel, IEEE TAC 2017), so dv gains
-    phi x ``change_v``. Both matter only while an alignment error of many degrees shrinks.
+    What stays Gaussian while an attitude error of many degrees shrinks is the velocity error without what the attitude
+    error makes of the velocity, dv - phi x v (Barrau and Bonnabel, IEEE TAC 2017; python-ins' modified phi-angle
+    model). Held fixed over the correction, it lets dv gain phi x ``change_v``.
     """
-    a, b, c = 0.5 * x[6], 0.5 * x[7], 0.5 * x[8]
     for _ in range(2):
         for j in range(N_STATES):
             north, east, down = p[6, j], p[7, j], p[8, j]
             p[3, j] += east * change_v[2] - down * change_v[1]
             p[4, j] += down * change_v[0] - north * change_v[2]
             p[5, j] += north * change_v[1] - east * change_v[0]
-            p[6, j] += b * down - c * east
-            p[7, j] += c * north - a * down
-            p[8, j] += a * east - b * north
         transpose(p)
     symmetrize(p)
 

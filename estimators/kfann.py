@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.lkf9 import Array, FreeIns, Measurements, OpenLoop, fixes_of, free_ins, gnss_measurements, run_filter
 from estimators.networks.levenberg_marquardt import Training
@@ -120,13 +121,14 @@ class Kfann(Learner):
         fed = Measurements(*(np.concatenate([getattr(p, key) for p in parts])[order] for key in vars(real)))
         return _with(run_filter(self, log, ins, fed), outputs)
 
-    def _std(self, ins: FreeIns, real: Measurements, known: Array, networks: Networks, step: float) -> Array:
+    def _std(self, ins: FreeIns, real: Measurements, known: Mask, networks: Networks, step: float) -> Array:
         if self.pseudo_noise == "gnss":
             return np.asarray(real.std[known][-1])
         residual = real.value[known] - network_outputs(self, ins, networks, real.t[known], step)
         return np.asarray(np.sqrt(np.mean(residual**2, axis=0)))
 
 
+Mask = NDArray[np.bool_]
 Networks = dict[str, Callable[[Array], Array]]
 """A trained regressor per target."""
 
@@ -159,9 +161,14 @@ def network_inputs(settings: Learner, ins: FreeIns, target: str, t: Array, step:
     return np.hstack([now, np.hstack([velocity, lla])[:, columns]])
 
 
-def train_networks(settings: Learner, ins: FreeIns, fed: Measurements, known: Array, targets: tuple[str, ...]) -> Networks:
+def train_networks(
+    settings: Learner, ins: FreeIns, fed: Measurements, known: Mask, targets: tuple[str, ...]
+) -> Networks:
     """One regressor per target, trained on the fixes ``known`` (M,) marks."""
-    how, step = Training(settings.epochs, settings.patience, settings.validation_share), float(np.median(np.diff(fed.t)))
+    how, step = (
+        Training(settings.epochs, settings.patience, settings.validation_share),
+        float(np.median(np.diff(fed.t))),
+    )
     return {
         target: fit_regressor(
             settings.regressor,

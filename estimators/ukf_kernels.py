@@ -147,7 +147,7 @@ def predict(x, p, imu, corrections, dt, setting, noise, shape, buffers):
 @njit(cache=True)
 def correct(x, p, z, r, imu, setting, shape, buffers, readings, residual, covariance):
     """GNSS update in place with fresh sigma points. Returns the test statistic v' S^-1 v."""
-    points, moved, factor, _, _ = buffers
+    points, _, factor, _, _ = buffers
     spread, weights = shape
     sigma_points(x, p, spread, factor, points)
     for s in range(points.shape[0]):

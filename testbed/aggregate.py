@@ -17,11 +17,11 @@ from testbed import claims, statistics
 from testbed.metrics import AXES, NEES_GROUPS
 from testbed.records import Array
 from testbed.scenario import Scenario
-from testbed.store import ColumnStore, Store, decode, writing
-from testbed.units import UnitResult
+from testbed.store import ColumnStore, Store, StoredRun, decode, writing
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow as pa
 
 FLOAT_FORMAT = "%.10g"
 SETTLED_S = 30.0
@@ -57,6 +57,9 @@ class _Pass:
     tests: dict[tuple[str, str], statistics.ConsistencySum] = field(default_factory=dict)
     series: dict[tuple[str, str], int] = field(default_factory=dict)
     points: int = 0
+    keys: pa.Table | None = None
+    places: Array = field(default_factory=lambda: np.empty(0, dtype=int))
+    """Columns of the cells ``keys`` of the latest run; most runs have the same."""
 
 
 def aggregate(store: Store, scenario: Scenario, runs: Sequence[int], times: Array) -> Tables:
@@ -98,14 +101,19 @@ def claim_values(store: Store, runs: Iterable[int], wanted: Iterable[Cell]) -> d
     cells = list(dict.fromkeys(wanted))
     columns: dict[Cell, list[float]] = {cell: [] for cell in cells}
     for run in runs:
-        unit = decode(store.run_path(run))
-        found = {(e, w, m): v for e, w, m, v in unit.rows} | _time_cells(unit)
+        stored = decode(store.run_path(run))
+        found = dict(zip(_cells_of(stored), stored.values.tolist(), strict=True)) | _time_cells(stored)
         for cell in cells:
             columns[cell].append(found.get(cell, np.nan))
     return {cell: np.array(column) for cell, column in columns.items()}
 
 
-def _time_cells(unit: UnitResult) -> dict[Cell, float]:
+def _cells_of(stored: StoredRun) -> list[Cell]:
+    columns = (stored.keys[name].to_pylist() for name in ("estimator", "window", "metric"))
+    return list(zip(*columns, strict=True))
+
+
+def _time_cells(unit: StoredRun) -> dict[Cell, float]:
     return {
         (o.estimator, "all", claims.TIME_METRIC): 1e6 * o.seconds / o.samples
         for o in unit.outcomes
@@ -120,34 +128,37 @@ def _gather(
     import pyarrow.parquet as pq
 
     out = _Pass(points=points)
-    schema = pa.schema(
-        [("run", pa.int64())] + [(name, pa.string()) for name in ("estimator", "window", "metric")] + [("value", pa.float64())]
-    )
+    text = [(name, pa.string()) for name in ("estimator", "window", "metric")]
+    schema = pa.schema([("run", pa.int64()), *text, ("value", pa.float64())])
     temporary = store.out / ".scratch" / "metrics.parquet"
     with writing(store.out):
         with pq.ParquetWriter(temporary, schema) as writer:
-            batch: list[tuple[int, str, str, str, float]] = []
+            batch: list[pa.Table] = []
             for k, run in enumerate(runs, 1):
-                unit = decode(store.run_path(run))
-                _take(unit, out, values, series)
-                batch += [(run, *row) for row in unit.rows]
-                if batch and (k % _BATCH_RUNS == 0 or k == len(runs)):
-                    writer.write_table(pa.table([list(column) for column in zip(*batch, strict=True)], schema=schema))
+                stored = decode(store.run_path(run))
+                _take(stored, out, values, series)
+                columns = [pa.array(np.full(len(stored.values), run)), *stored.keys.columns, pa.array(stored.values)]
+                batch.append(pa.table(columns, schema=schema))
+                if k % _BATCH_RUNS == 0 or k == len(runs):
+                    writer.write_table(pa.concat_tables(batch).combine_chunks())
                     batch = []
         temporary.replace(store.out / "metrics.parquet")
     return out
 
 
-def _take(unit: UnitResult, out: _Pass, values: ColumnStore, series: ColumnStore) -> None:
+def _take(unit: StoredRun, out: _Pass, values: ColumnStore, series: ColumnStore) -> None:
     """Add one run to the columns and sums."""
     out.runs += [(unit.run, o.estimator, o.status, o.seconds, o.samples, o.reason) for o in unit.outcomes]
-    scores: dict[Cell, float] = {(e, w, m): v for e, w, m, v in unit.rows}
-    scores |= {(o.estimator, "all", "diverged"): float(o.status == "diverged") for o in unit.outcomes}
-    scores |= _time_cells(unit)
-    row = np.full(len(out.cells) + len(scores), np.nan)
-    for cell, value in scores.items():
-        row[out.cells.setdefault(cell, len(out.cells))] = value
-    values.append(row[: len(out.cells)])
+    if out.keys is None or not unit.keys.equals(out.keys):
+        places = [out.cells.setdefault(cell, len(out.cells)) for cell in _cells_of(unit)]
+        out.keys, out.places = unit.keys, np.array(places, dtype=int)
+    more: dict[Cell, float] = {(o.estimator, "all", "diverged"): float(o.status == "diverged") for o in unit.outcomes}
+    more |= _time_cells(unit)
+    extra = [out.cells.setdefault(cell, len(out.cells)) for cell in more]
+    row = np.full(len(out.cells), np.nan)
+    row[out.places] = unit.values
+    row[extra] = list(more.values())
+    values.append(row)
     wide = np.full((len(out.series) + len(unit.series), out.points), np.nan, dtype=np.float32)
     for (estimator, name), column in unit.series.items():
         if name in NEES_GROUPS or name == "nis":
@@ -229,7 +240,9 @@ def _improvements(gathered: _Pass, column: claims.Values, rows: list[str], seed:
             baseline = column(rows[0], window, metric)
             for row in rows[1:]:
                 own = column(row, window, metric)
-                measured = statistics.improvement(own, baseline, seed) if own is not None and baseline is not None else None
+                measured = (
+                    statistics.improvement(own, baseline, seed) if own is not None and baseline is not None else None
+                )
                 if measured is not None:
                     numbers = (measured.percent, measured.low, measured.high, measured.p_value, measured.n)
                     out.append((row, rows[0], window, metric, *numbers))
@@ -269,7 +282,9 @@ def _write_envelopes(store: Store, gathered: _Pass, series: ColumnStore, times: 
         data = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         frames.append(pd.DataFrame({"estimator": estimator, "time_s": times, "quantity": quantity} | data))
     columns = "estimator time_s quantity mean p05 p95 rms sigma".split()
-    write_parquet(store, "envelopes.parquet", pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns))
+    write_parquet(
+        store, "envelopes.parquet", pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
+    )
 
 
 def _split_timed(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:

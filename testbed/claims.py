@@ -49,7 +49,11 @@ def check_claims(claims: Iterable[ClaimConfig], values: Values, seed: int) -> li
         numbers = (measured.percent, measured.low, measured.high) if measured else (math.nan,) * 3
         rows.append(
             dict(zip(("measured_pct", "ci_low", "ci_high"), numbers, strict=True))
-            | {"id": claim.id or str(k), "text": claim.text or describe_claim(claim), "paper_pct": claim.paper_improvement_pct}
+            | {
+                "id": claim.id or str(k),
+                "text": claim.text or describe_claim(claim),
+                "paper_pct": claim.paper_improvement_pct,
+            }
             | {"verdict": verdict(measured, claim.paper_improvement_pct)}
             | {"p_value": measured.p_value if measured else math.nan, "n": measured.n if measured else 0}
             | {"better": claim.better, "than": claim.than, "metric": claim.metric, "window": claim.window}

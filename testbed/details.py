@@ -40,7 +40,11 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
             files[f"extras-{slug}.parquet"] = _parquet(_extras_frame(solution))
     if log.gnss is not None:
         files["gnss.parquet"] = _parquet(_thin(log.frames()["gnss"]))
-    sensors = {key: specs.to_dict(part.spec) for key in ("imu", "gnss", "mag", "baro") if (part := getattr(log, key)) is not None}
+    sensors = {
+        key: specs.to_dict(part.spec)
+        for key in ("imu", "gnss", "mag", "baro")
+        if (part := getattr(log, key)) is not None
+    }
     info: dict[str, Any] = {
         "name": scenario.name,
         "title": scenario.scenario.title,
@@ -92,7 +96,11 @@ def _errors_frame(solution: NavSolution, series: ErrorSeries) -> pd.DataFrame:
     rows = np.searchsorted(solution.t, series.t - 1e-9)
     if (sigma := axis_sigmas(solution)) is not None:
         columns |= {f"sigma_{name}": sigma[rows, i] for i, name in enumerate(AXES)}
-    columns |= {"lat_deg": np.degrees(solution.lat[rows]), "lon_deg": np.degrees(solution.lon[rows]), "alt_m": solution.h[rows]}
+    columns |= {
+        "lat_deg": np.degrees(solution.lat[rows]),
+        "lon_deg": np.degrees(solution.lon[rows]),
+        "alt_m": solution.h[rows],
+    }
     return pd.DataFrame(columns)
 
 

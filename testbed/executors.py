@@ -69,6 +69,7 @@ def _start_worker(setup: Setup, heartbeats: str) -> None:
     threading.Thread(target=_die_with_parent, daemon=True).start()
     _standing.enter_context(single_threaded())
     _bench, _heartbeats = Bench(setup), Path(heartbeats)
+    _beat(-1, "")
 
 
 def _die_with_parent() -> None:
@@ -123,7 +124,7 @@ class Pool:
                         self._failed_starts = 0
                         yield unit
                 if again:
-                    again += [run for run in flying.values()]
+                    again += list(flying.values())
                     flying.clear()
                     self._shutdown()
                     alone = self._suspects(again)
@@ -156,7 +157,7 @@ class Pool:
                 self._broken[run] = 0
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
-                (Path(self._folder.name) / str(pid)).unlink(missing_ok=True)
+                (Path(self._folder.name) / str(pid)).write_text("-1\n0\n")
 
     def _heartbeats(self) -> list[tuple[int, int, float, str]]:
         """(process, run, start, estimator) of what each worker last began; an empty estimator means nothing."""
@@ -169,15 +170,18 @@ class Pool:
 
     def _suspects(self, lost: list[int]) -> list[int]:
         """Runs that were being computed in more than `ATTEMPTS` pools that broke."""
-        active = {run for _, run, _, estimator in self._heartbeats() if estimator}
+        heartbeats = self._heartbeats()
+        active = {run for _, run, _, estimator in heartbeats if estimator}
         for path in Path(self._folder.name).iterdir():
             path.unlink()
         for run in active & set(lost):
             self._broken[run] = self._broken.get(run, 0) + 1
-        if not active:  # the workers died before they began anything
+        if not heartbeats:
             self._failed_starts += 1
             if self._failed_starts > ATTEMPTS:
-                raise TestbedError("the worker processes die when they start; see their messages above, or use --jobs 1")
+                raise TestbedError(
+                    "the worker processes die when they start; see their messages above, or use --jobs 1"
+                )
         return [run for run in sorted(set(lost)) if self._broken.get(run, 0) >= ATTEMPTS]
 
     def _alone(self, run: int) -> Finished:
@@ -194,7 +198,9 @@ class Pool:
             except BrokenProcessPool:
                 for _, active, _, estimator in self._heartbeats():
                     if active == run and estimator:
-                        self._skip.setdefault(run, {})[estimator] = "failed: it ended its worker process (crash or memory)"
+                        self._skip.setdefault(run, {})[estimator] = (
+                            "failed: it ended its worker process (crash or memory)"
+                        )
             finally:
                 self._shutdown()
                 for path in Path(self._folder.name).iterdir():
@@ -255,7 +261,8 @@ def cluster(setup: Setup, runs: Iterable[int], address: str) -> Iterator[Finishe
         raise InputError(f"no Dask scheduler answers at {address} ({error})") from None
     with client:
         executor = client.get_executor(pure=False)
-        waiting, flying = iter(runs), {}
+        waiting = iter(runs)
+        flying: dict[Future[Finished], int] = {}
         while True:
             wanted = 2 * max(1, sum(client.nthreads().values()))
             while len(flying) < wanted and (run := next(waiting, None)) is not None:
@@ -270,5 +277,7 @@ def cluster(setup: Setup, runs: Iterable[int], address: str) -> Iterator[Finishe
                 except KilledWorker:
                     unit = pack(lost(setup, run, "it ended every Dask worker that computed it"))
                 except (CancelledError, CommClosedError) as error:
-                    raise TestbedError(f"the Dask cluster at {address} is gone; run the same command with --resume") from error
+                    raise TestbedError(
+                        f"the Dask cluster at {address} is gone; run the same command with --resume"
+                    ) from error
                 yield unit

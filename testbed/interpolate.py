@@ -26,7 +26,9 @@ def state_at(trajectory: Trajectory, t: Array | float) -> tuple[Array, Array, Ar
     times = np.ascontiguousarray(np.atleast_1d(t), dtype=np.float64)
     rows = trajectory.t
     if len(times) and not (times.min() >= rows[0] - 1e-9 and times.max() <= rows[-1] + 1e-9):
-        raise InputError(f"time {times.min():.6g} to {times.max():.6g} s is outside of {rows[0]:.6g} to {rows[-1]:.6g} s")
+        raise InputError(
+            f"time {times.min():.6g} to {times.max():.6g} s is outside of {rows[0]:.6g} to {rows[-1]:.6g} s"
+        )
     place, v_n, q_nb = _interpolate(
         times, rows, trajectory.lat, trajectory.lon, trajectory.h, trajectory.v_n, trajectory.q_nb
     )
@@ -50,7 +52,9 @@ def _interpolate(times, t, lat, lon, h, v, q):
         place[j, 2] = h[k] + _cubic(h[k + 1] - h[k], r0[2], r1[2], dt, x)
         for i in range(3):
             v_out[j, i] = v[k, i] + _cubic(v[k + 1, i] - v[k, i], _slope(t, v, k, i), _slope(t, v, k + 1, i), dt, x)
-        unit = quat_normalize((_part(t, q, k, 0, dt, x), _part(t, q, k, 1, dt, x), _part(t, q, k, 2, dt, x), _part(t, q, k, 3, dt, x)))
+        unit = quat_normalize(
+            (_part(t, q, k, 0, dt, x), _part(t, q, k, 1, dt, x), _part(t, q, k, 2, dt, x), _part(t, q, k, 3, dt, x))
+        )
         for i in range(4):
             q_out[j, i] = unit[i]
     return place, v_out, q_out

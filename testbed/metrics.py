@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed import earth, rotations
 from testbed.records import Array, GnssFixes, NavSolution, SensorErrors, Trajectory
@@ -42,7 +43,12 @@ QUANTITIES = (
     *("roll_deg", "pitch_deg", "yaw_deg", "attitude_deg"),
 )
 STATISTICS = ("rmse", "max", "final", "mean")
-NEES_GROUPS = {"nees_position": slice(0, 3), "nees_velocity": slice(3, 6), "nees_attitude": slice(6, 9), "nees_bias": slice(9, 15)}
+NEES_GROUPS = {
+    "nees_position": slice(0, 3),
+    "nees_velocity": slice(3, 6),
+    "nees_attitude": slice(6, 9),
+    "nees_bias": slice(9, 15),
+}
 """Metric names and the error states (order of `records.STATE_NAMES`) that each one tests."""
 
 _TIME_TOLERANCE = 1e-9
@@ -52,7 +58,13 @@ _GNSS_QUANTITIES = QUANTITIES[:9]
 def metric_names() -> list[str]:
     """Every metric that a table may hold."""
     plain = [f"{s}_{q}" for s in STATISTICS for q in QUANTITIES]
-    return [*plain, *NEES_GROUPS, "nis", *(f"{s}_gnss_{q}" for s in ("rmse", "mean") for q in _GNSS_QUANTITIES), "diverged"]
+    return [
+        *plain,
+        *NEES_GROUPS,
+        "nis",
+        *(f"{s}_gnss_{q}" for s in ("rmse", "mean") for q in _GNSS_QUANTITIES),
+        "diverged",
+    ]
 
 
 @dataclass(frozen=True)
@@ -142,10 +154,17 @@ def score_rows(
     return rows
 
 
-def consistency(series: ErrorSeries, solution: NavSolution, errors: SensorErrors | None = None) -> dict[str, Consistency]:
+def consistency(
+    series: ErrorSeries, solution: NavSolution, errors: SensorErrors | None = None
+) -> dict[str, Consistency]:
     """NEES of each state group at the covariance snapshots, and NIS of each innovation, as far as the solution tells."""
     out: dict[str, Consistency] = {}
-    if solution.covariance is not None and solution.covariance_t is not None and len(solution.covariance_t) and len(series.t):
+    if (
+        solution.covariance is not None
+        and solution.covariance_t is not None
+        and len(solution.covariance_t)
+        and len(series.t)
+    ):
         keep = (solution.covariance_t >= series.t[0]) & (solution.covariance_t <= series.t[-1])
         t, covariance = solution.covariance_t[keep], solution.covariance[keep]
         k = nearest_rows(series.t, t)
@@ -173,7 +192,9 @@ def gnss_rows(solution: NavSolution, gnss: GnssFixes, windows: Sequence[Window])
     if not inside.any():
         return []
     t = t[inside]
-    lat, lon, h, *v = (np.interp(t, solution.t, x) for x in (solution.lat, np.unwrap(solution.lon), solution.h, *solution.v_n.T))
+    lat, lon, h, *v = (
+        np.interp(t, solution.t, x) for x in (solution.lat, np.unwrap(solution.lon), solution.h, *solution.v_n.T)
+    )
     ned = np.column_stack(earth.position_difference(lat, lon, h, gnss.lat[inside], gnss.lon[inside], gnss.h[inside]))
     if any(gnss.spec.lever_arm_b):
         matrices = rotations.quats_to_matrices(solution.q_nb[nearest_rows(solution.t, t)])
@@ -183,7 +204,9 @@ def gnss_rows(solution: NavSolution, gnss: GnssFixes, windows: Sequence[Window])
     for window in windows:
         part = np.concatenate([values[a:b] for a, b in _spans(t, window)])
         if len(part):
-            rows += [(window.name, f"rmse_gnss_{q}", float(x)) for q, x in zip(_GNSS_QUANTITIES, _rms(part), strict=True)]
+            rows += [
+                (window.name, f"rmse_gnss_{q}", float(x)) for q, x in zip(_GNSS_QUANTITIES, _rms(part), strict=True)
+            ]
             mean = part.mean(axis=0)
             rows += [(window.name, f"mean_gnss_{q}", float(x)) for q, x in zip(_GNSS_QUANTITIES, mean, strict=True)]
     return rows
@@ -202,7 +225,7 @@ def divergence(series: ErrorSeries, limit_m: float) -> str:
     return ""
 
 
-def nearest_rows(grid: Array, t: Array) -> Array:
+def nearest_rows(grid: Array, t: Array) -> NDArray[np.intp]:
     """Index of the grid time nearest to each ``t``."""
     k = np.clip(np.searchsorted(grid, t), 1, max(1, len(grid) - 1))
     k = np.minimum(k, len(grid) - 1)
@@ -236,7 +259,7 @@ def _rms(values: Array) -> Array:
     return np.sqrt(np.einsum("ij,ij->j", values, values) / len(values))
 
 
-def _only(covariance: Array, used: Array) -> Array:
+def _only(covariance: Array, used: NDArray[np.bool_]) -> Array:
     """Covariance with the unused channels taken out: zero off the diagonal, one on it."""
     both = used[:, :, None] & used[:, None, :]
     return np.where(both, covariance, np.eye(used.shape[1]))

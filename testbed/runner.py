@@ -214,7 +214,10 @@ def git_revision() -> str | None:
     if not (folder / ".git").exists():
         return None
     try:
-        commands = (["git", "rev-parse", "--short=12", "HEAD"], ["git", "status", "--porcelain", "--untracked-files=no"])
+        commands = (
+            ["git", "rev-parse", "--short=12", "HEAD"],
+            ["git", "status", "--porcelain", "--untracked-files=no"],
+        )
         head, changes = (subprocess.run(c, cwd=folder, capture_output=True, text=True, timeout=10) for c in commands)
     except (OSError, subprocess.TimeoutExpired):
         return None
@@ -222,7 +225,13 @@ def git_revision() -> str | None:
 
 
 def _complete(
-    store: Store, setup: Setup, missing: list[int], wanted: int, jobs: int, scheduler: str | None, progress: Progress | None
+    store: Store,
+    setup: Setup,
+    missing: list[int],
+    wanted: int,
+    jobs: int,
+    scheduler: str | None,
+    progress: Progress | None,
 ) -> None:
     """Compute and store the missing runs."""
     done = wanted - len(missing)
@@ -250,7 +259,7 @@ def _units(setup: Setup, missing: list[int], jobs: int, scheduler: str | None) -
     if scheduler is not None:
         return executors.cluster(setup, missing, scheduler)
     guarded = setup.timeout_s or setup.scenario.monte_carlo.timeout_s
-    if (jobs == 1 and not guarded) or len(missing) == 1 and not guarded:
+    if not guarded and (jobs == 1 or len(missing) == 1):
         return executors.inline(setup, missing)
     return executors.Pool(setup, min(jobs, len(missing))).run(missing)
 
@@ -267,5 +276,3 @@ def _narrow(store: Store, scenario: Scenario, runs: int, width_pct: float) -> bo
         if measured is not None and not measured.high - measured.low < width_pct:
             return False
     return True
-
-

@@ -221,6 +221,12 @@ def list_scenarios() -> dict[str, Path]:
     return {path.stem: path for path in sorted(resources.scenario_root().glob("*.toml"))}
 
 
+def overlays_of(name_or_path: str | Path) -> tuple[list[str], list[str]]:
+    """Names of the profiles and of the variants that a scenario file has."""
+    data = read_toml(find_scenario(name_or_path))
+    return list(data.get("profiles", {})), list(data.get("variants", {}))
+
+
 def find_scenario(name_or_path: str | Path) -> Path:
     """The file behind a path or the name of a shipped scenario. Raises InputError with the nearest name."""
     path = Path(name_or_path)

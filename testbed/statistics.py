@@ -36,7 +36,9 @@ def describe(values: Array, seed: int = 0) -> dict[str, Array]:
     finite = np.isfinite(values)
     n = finite.sum(axis=0)
     clean = np.where(finite, values, np.nan)
-    out = {name: np.full(values.shape[1], np.nan) for name in ("mean", "std", "median", "p05", "p95", "ci_low", "ci_high")}
+    out = {
+        name: np.full(values.shape[1], np.nan) for name in ("mean", "std", "median", "p05", "p95", "ci_low", "ci_high")
+    }
     some = n > 0
     if some.any():
         part = clean[:, some]
@@ -112,7 +114,7 @@ def chi_square_bounds(dof: Array) -> tuple[Array, Array]:
     from scipy.stats import chi2
 
     tail = (1.0 - LEVEL) / 2.0
-    return chi2.ppf(tail, dof), chi2.ppf(1.0 - tail, dof)
+    return np.asarray(chi2.ppf(tail, dof)), np.asarray(chi2.ppf(1.0 - tail, dof))
 
 
 @dataclass

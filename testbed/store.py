@@ -15,20 +15,39 @@ import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from testbed.errors import InputError, TestbedError
 from testbed.units import Outcome, UnitResult
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 KIND = "testbed result"
 MANIFEST = "manifest.json"
 _OWN_FILES = (
-    *("scenario.toml", "metrics.parquet", "runs.parquet", "summary.csv", "timings.csv", "claims.csv", "consistency.csv"),
-    *("claims-timings.csv", "improvements.csv", "envelopes.parquet", "report.html", "report.md", "tables.tex", MANIFEST),
+    *(
+        "scenario.toml",
+        "metrics.parquet",
+        "runs.parquet",
+        "summary.csv",
+        "timings.csv",
+        "claims.csv",
+        "consistency.csv",
+    ),
+    *(
+        "claims-timings.csv",
+        "improvements.csv",
+        "envelopes.parquet",
+        "report.html",
+        "report.md",
+        "tables.tex",
+        MANIFEST,
+    ),
 )
 _OWN_FOLDERS = ("runs", "details", "figures", ".scratch")
 
@@ -59,20 +78,37 @@ def encode(result: UnitResult) -> bytes:
     return buffer.getvalue()
 
 
-def decode(source: Path | bytes) -> UnitResult:
+@dataclass(frozen=True)
+class StoredRun:
+    """The file of a run: ``keys`` (Arrow table: estimator, window, metric) beside ``values``, and the series."""
+
+    run: int
+    outcomes: list[Outcome]
+    keys: pa.Table
+    values: np.ndarray
+    series: dict[tuple[str, str], np.ndarray]
+
+
+def decode(source: Path | bytes) -> StoredRun:
     """Inverse of `encode` (``files`` are not kept)."""
     import pyarrow.parquet as pq
 
-    table = pq.ParquetFile(io.BytesIO(source) if isinstance(source, bytes) else source).read(use_threads=False)
+    table = (
+        pq.ParquetFile(io.BytesIO(source) if isinstance(source, bytes) else source)
+        .read(use_threads=False)
+        .combine_chunks()
+    )
     header = json.loads(table.schema.metadata[b"testbed"])
-    result = UnitResult(header["run"], [Outcome(**o) for o in header["outcomes"]])
-    estimators, windows, metrics, values = (table[c].to_pylist() for c in ("estimator", "window", "metric", "value"))
-    scored = sum(w is not None for w in windows)
-    result.rows = list(zip(estimators[:scored], windows[:scored], metrics[:scored], values[:scored], strict=True))
+    scored = len(table) - table["window"].null_count
+    keys = table.select(["estimator", "window", "metric"]).replace_schema_metadata(None)
+    names = keys.slice(scored).to_pydict()
     arrays = table["series"].combine_chunks()
-    for k in range(scored, len(estimators)):
-        result.series[estimators[k], metrics[k]] = arrays[k].values.to_numpy(zero_copy_only=False)
-    return result
+    series = {
+        key: arrays[scored + k].values.to_numpy(zero_copy_only=False)
+        for k, key in enumerate(zip(names["estimator"], names["metric"], strict=True))
+    }
+    values = table["value"].to_numpy()[:scored]
+    return StoredRun(header["run"], [Outcome(**o) for o in header["outcomes"]], keys.slice(0, scored), values, series)
 
 
 class Store:

@@ -75,7 +75,9 @@ def sweep(
     return table
 
 
-def sweep_command(scenario: Scenario, texts: Sequence[str], out: Path, progress: Any = None, **options: Any) -> pd.DataFrame:
+def sweep_command(
+    scenario: Scenario, texts: Sequence[str], out: Path, progress: Any = None, **options: Any
+) -> pd.DataFrame:
     """``--sweep KEY=V1,V2 ...`` on a loaded scenario. ``progress(label)`` is a context manager that gives a callback."""
     base = scenario.to_data()
 
@@ -112,7 +114,14 @@ def plot(table: pd.DataFrame, keys: Sequence[str], path: Path, metric: str = PLO
             numeric = [isinstance(v, int | float) for v in line[first]]
             x = line[first].to_numpy(dtype=float) if all(numeric) else line[first].astype(str).to_numpy()
             spread = [line["mean"] - line["ci_low"], line["ci_high"] - line["mean"]]
-            axis.errorbar(x, line["mean"], yerr=[s.clip(lower=0).fillna(0) for s in spread], marker="o", capsize=3, label=estimator)
+            axis.errorbar(
+                x,
+                line["mean"],
+                yerr=[s.clip(lower=0).fillna(0) for s in spread],
+                marker="o",
+                capsize=3,
+                label=estimator,
+            )
         axis.set_xlabel(first)
         axis.set_title(", ".join(f"{k} = {v}" for k, v in zip(others, values, strict=False)), fontsize=9)
         axis.grid(alpha=0.3)

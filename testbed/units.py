@@ -147,7 +147,9 @@ class Bench:
                 series = metrics.error_series(trajectory, solution)
                 reason = metrics.divergence(series, self.setup.scenario.monte_carlo.divergence_position_m)
                 if reason:
-                    return Outcome(row, "diverged", reason, outcome.seconds, outcome.samples), series if len(series.t) else None
+                    return Outcome(row, "diverged", reason, outcome.seconds, outcome.samples), series if len(
+                        series.t
+                    ) else None
                 tests = metrics.consistency(series, solution, errors)
                 rows = metrics.score_rows(series, tests, windows)
                 if log.gnss is not None:
@@ -178,7 +180,7 @@ def envelope_times(trajectory: Trajectory) -> Array:
     """Times of the error envelopes: every whole second, or every few, so that there are at most `ENVELOPE_POINTS`."""
     start, end = float(trajectory.t[0]), float(trajectory.t[-1])
     step = max(1.0, float(np.ceil((end - start) / ENVELOPE_POINTS)))
-    return start + step * np.arange(1, int((end - start + 1e-6) / step) + 1)
+    return start + step * np.arange(1.0, int((end - start + 1e-6) / step) + 1.0, dtype=np.float64)
 
 
 def time_series(

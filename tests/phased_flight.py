@@ -31,7 +31,7 @@ SCRIPT = (
 def phased_flight(script: tuple = SCRIPT, rate: float = 100.0, speed: float = 150.0) -> Trajectory:
     """Level flight through ``script``; bank and acceleration change within `RAMP_S` at the start of each phase."""
     ends = np.cumsum([row[1] for row in script])
-    t = np.arange(int(round(ends[-1] * rate)) + 1) / rate
+    t = np.arange(round(ends[-1] * rate) + 1) / rate
     knots = np.concatenate([[(end - row[1]) + RAMP_S, end] for end, row in zip(ends, script, strict=True)])
     bank = np.interp(t, knots, np.repeat([row[2] for row in script], 2))
     push = np.interp(t, knots, np.repeat([row[3] for row in script], 2))

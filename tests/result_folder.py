@@ -7,6 +7,7 @@ Units as in the column names.
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +144,11 @@ def _consistency(factors: dict[str, float], runs: int) -> pd.DataFrame:
     return pd.DataFrame(rows, columns="estimator quantity dof n_runs mean lower upper share_inside".split())
 
 
+def slug(label: str) -> str:
+    """A file-name part for a label."""
+    return re.sub(r"[^a-z0-9]+", "-", label)
+
+
 def _growth(t: np.ndarray) -> np.ndarray:
     out = np.ones_like(t)
     for a, b in OUTAGES:
@@ -192,7 +198,11 @@ def _details(folder: Path, rng: np.random.Generator, factors: dict[str, float]) 
         "phases": [["straight", 0, 30], ["turn", 30, 75], ["climb", 75, 110], ["s_turn", 110, 150]],
         "outages": OUTAGES,
     }
-    info |= {"estimators": {e: e for e in factors}, "title": "A synthetic comparison", "source": "made for the tests"}
+    info |= {
+        "estimators": {e: slug(e) for e in factors},
+        "title": "A synthetic comparison",
+        "source": "made for the tests",
+    }
     info["sensors"] = {
         "imu": specs.to_dict(ImuSpec("ADIS16405", 100.0, gyro=GYRO, accel=ACCEL)),
         "gnss": specs.to_dict(GnssSpec("receiver", 5.0, horizontal_sigma=2.5, vertical_sigma=4.0, velocity_sigma=0.1)),
@@ -209,14 +219,14 @@ def _details(folder: Path, rng: np.random.Generator, factors: dict[str, float]) 
             "lon_deg": lon + errors["east_m"] / per_lon,
             "alt_m": alt - errors["down_m"],
         }
-        pd.DataFrame(errors).to_parquet(folder / f"errors-{label}.parquet")
+        pd.DataFrame(errors).to_parquet(folder / f"errors-{slug(label)}.parquet")
         k = np.arange(0.2, DURATION, 0.2)
         inside = np.any([(k > a) & (k < b) for a, b in OUTAGES], axis=0)
         k = k[~inside]
         s = [2.5, 2.5, 4.0, 0.1, 0.1, 0.1]
         innovations = {"time_s": k} | {f"nu_{i}": s[i] * rng.standard_normal(len(k)) for i in range(6)}
         innovations |= {f"s_{i}": np.full(len(k), s[i]) for i in range(6)}
-        pd.DataFrame(innovations).to_parquet(folder / f"innovations-{label}.parquet")
+        pd.DataFrame(innovations).to_parquet(folder / f"innovations-{slug(label)}.parquet")
         if label.startswith("imm"):
             p = np.exp(np.stack([np.cos(angle), np.sin(3 * angle), 1 + np.sin(4 * angle)]))
             p /= p.sum(axis=0)
@@ -224,7 +234,7 @@ def _details(folder: Path, rng: np.random.Generator, factors: dict[str, float]) 
                 pd.DataFrame({"name": "mode_probability", "component": c, "time_s": t, "value": p[i]})
                 for i, c in enumerate(range(3))
             ]
-            pd.concat(rows).to_parquet(folder / f"extras-{label}.parquet")
+            pd.concat(rows).to_parquet(folder / f"extras-{slug(label)}.parquet")
 
 
 def _scenario(name: str, labels: list[str]) -> str:

@@ -10,7 +10,14 @@ import numpy as np
 from estimators.strapdown import integrate
 from testbed import earth
 from testbed.records import GnssFixes, ImuSamples, InitialState, SensorLog, Trajectory
-from testbed.rotations import eulers_to_quats, quat_conjugate, quat_multiply, quat_rotate_inverse, quat_to_rotvec, rotvec_to_quat
+from testbed.rotations import (
+    eulers_to_quats,
+    quat_conjugate,
+    quat_multiply,
+    quat_rotate_inverse,
+    quat_to_rotvec,
+    rotvec_to_quat,
+)
 from testbed.specs import GnssSpec, ImuSpec, TriadSpec
 
 LAT, LON, H = np.radians(35.0), np.radians(51.0), 1500.0
@@ -62,7 +69,10 @@ def sensor_log(
     gyro = truth.w_ib_b[1:] + gyro_bias + gyro_noise * rng.standard_normal((n, 3))
     accel = truth.f_b[1:] + accel_noise * rng.standard_normal((n, 3))
     rows = np.arange(0, n + 1, round(1.0 / gnss_rate / truth.dt))[1:]
-    noise, noise_v = position_sigma * rng.standard_normal((len(rows), 3)), velocity_sigma * rng.standard_normal((len(rows), 3))
+    noise, noise_v = (
+        position_sigma * rng.standard_normal((len(rows), 3)),
+        velocity_sigma * rng.standard_normal((len(rows), 3)),
+    )
     seen = np.ones(len(rows), dtype=bool)
     for start, end in outages:
         seen &= (truth.t[rows] < start) | (truth.t[rows] > end)
@@ -93,4 +103,3 @@ def sensor_log(
         np.concatenate([deviation, np.zeros(6)]),
     )
     return SensorLog(ImuSamples(truth.t[1:], gyro, accel, spec), initial, gnss)
-

@@ -66,7 +66,7 @@ def test_parse_sweep():
 def test_sweep_is_one_table_and_one_plot_over_the_grid(tmp_path):
     def load(point):
         params = {"sigma_m": point["sigma"], "common_m": point["common"]}
-        return mc.scenario([{"name": "noisy", "params": params}], runs=60)
+        return mc.scenario([{"name": "noisy", "params": params}], runs=30)
 
     options = {"jobs": 1, "plugins": [mc.PLUGIN]}
     table = sweep(load, {"sigma": [1.0, 2.0, 4.0], "common": [0.0, 3.0]}, tmp_path / "out", **options)
@@ -75,7 +75,7 @@ def test_sweep_is_one_table_and_one_plot_over_the_grid(tmp_path):
     north = read[(read["metric"] == "rmse_north_m") & (read["window"] == "all")].set_index(["sigma", "common"])["mean"]
     for (sigma, common), mean in north.items():
         total = math.hypot(sigma, common)
-        assert abs(mean - total * math.sqrt(2 / math.pi)) < 4 * total * math.sqrt((1 - 2 / math.pi) / 60)
+        assert abs(mean - total * math.sqrt(2 / math.pi)) < 4 * total * math.sqrt((1 - 2 / math.pi) / 30)
     again = sweep(load, {"sigma": [1.0, 2.0, 4.0], "common": [0.0, 3.0]}, tmp_path / "out", resume=True, **options)
     pd.testing.assert_frame_equal(again, table)
 

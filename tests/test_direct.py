@@ -179,7 +179,9 @@ def test_innovations_are_white_with_their_covariance(log: SensorLog) -> None:
 def test_fix_between_samples_counts_at_its_own_time() -> None:
     # 3 ms off the grid at 150 m/s is 0.45 m; exact sensors leave 1 mm of interpolation.
     truth = weaving_flight(20.0)
-    exact = sensor_log(truth, 0, accel_noise=1e-4, gyro_noise=1e-6, gnss_rate=5.0, position_sigma=1e-3, velocity_sigma=1e-3)
+    exact = sensor_log(
+        truth, 0, accel_noise=1e-4, gyro_noise=1e-6, gnss_rate=5.0, position_sigma=1e-3, velocity_sigma=1e-3
+    )
     from scipy.interpolate import CubicHermiteSpline
 
     t = exact.gnss.t[:-1] + 0.003
@@ -201,7 +203,9 @@ def test_lever_arm_is_removed(estimator) -> None:
     # A 3 m arm at 40° bank and up to 0.2 rad/s: left out, it would leave metres.
     truth = weaving_flight(30.0, bank=0.7)
     lever = np.array([2.0, 0.5, -2.0])
-    clean = sensor_log(truth, 0, accel_noise=1e-3, gyro_noise=1e-5, gnss_rate=5.0, position_sigma=0.01, velocity_sigma=0.01)
+    clean = sensor_log(
+        truth, 0, accel_noise=1e-3, gyro_noise=1e-5, gnss_rate=5.0, position_sigma=0.01, velocity_sigma=0.01
+    )
     rows = np.searchsorted(truth.t, clean.gnss.t)
     c = quats_to_matrices(truth.q_nb[rows])
     arm, swing = c @ lever, np.einsum("kij,kj->ki", c, np.cross(truth.w_ib_b[rows], lever))

@@ -46,7 +46,11 @@ def redundant_system(seed: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
     true = rng.standard_normal((4000, 3))
     copies = true[:, :2] + 0.3 * rng.standard_normal((4000, 2))
     y = true[:, 0] + 0.27 * true[:, 1] ** 3 + 0.8 * np.tanh(2.0 * true[:, 2]) + 0.1 * rng.standard_normal(4000)
-    return np.hstack([true, copies, rng.standard_normal((4000, 3))]), y, ["a", "b", "c", "copy_a", "copy_b", "n1", "n2", "n3"]
+    return (
+        np.hstack([true, copies, rng.standard_normal((4000, 3))]),
+        y,
+        ["a", "b", "c", "copy_a", "copy_b", "n1", "n2", "n3"],
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -58,7 +58,7 @@ def test_vertical_and_speed_targets_are_reached():
         straight(5.0),
     )
     truth = fly(flight("aerosonde", 30.0, *goals, alt=500.0))
-    ends = {p.name: int(round(p.end * 100)) - 1 for p in truth.phases}
+    ends = {p.name: round(p.end * 100) - 1 for p in truth.phases}
     assert truth.h[ends["climb"]] == pytest.approx(560.0, abs=2.5)
     assert truth.extra["airspeed_mps"][ends["accelerate"]] == pytest.approx(36.0, abs=0.4)
     assert truth.h[ends["descent"]] == pytest.approx(500.0, abs=2.5)
@@ -110,7 +110,10 @@ def test_duration_cuts_and_pads():
     cut = fly(flight("aerosonde", 30.0, turn(30.0, 20.0), straight(20.0), duration_s=10.0))
     padded = fly(flight("aerosonde", 30.0, turn(30.0, 5.0), duration_s=12.0))
     assert cut.t[-1] == pytest.approx(10.0) and [p.name for p in cut.phases] == ["turn"]
-    assert padded.t[-1] == pytest.approx(12.0) and [(p.name, p.end) for p in padded.phases] == [("turn", 5.0), ("straight", 12.0)]
+    assert padded.t[-1] == pytest.approx(12.0) and [(p.name, p.end) for p in padded.phases] == [
+        ("turn", 5.0),
+        ("straight", 12.0),
+    ]
 
 
 def test_same_seed_same_bytes_in_another_process():
@@ -148,7 +151,9 @@ def test_cached_flight_is_the_flown_one(tmp_path, monkeypatch):
     (file,) = (tmp_path / "flights").iterdir()
     monkeypatch.setattr(flying, "_fly", lambda *_: pytest.fail("flew again"))
     again = fly_flight(config, seed=9)
-    assert np.array_equal(again.v_n, flown.v_n) and np.array_equal(again.f_b, flown.f_b) and again.phases == flown.phases
+    assert (
+        np.array_equal(again.v_n, flown.v_n) and np.array_equal(again.f_b, flown.f_b) and again.phases == flown.phases
+    )
     assert np.allclose(again.lat, flown.lat, rtol=0.0, atol=1e-15)
     file.write_bytes(b"broken")
     assert cache.load(file) is None
@@ -167,14 +172,21 @@ def test_cache_key_sees_seed_only_where_it_matters():
         (lambda: flight("aerosonde", 30.0, straight(2.0), turn(75.0, 9.0)), "manoeuvre 2 of 2 (turn): needs 75°"),
         (lambda: flight("aerosonde", 90.0, straight(2.0)), "flies 19 to 42 m/s"),
         (lambda: flight("aerosonde", 30.0, {"type": "loiter", "radius_m": 30.0, "turns": 1.0}), "(loiter): needs 72°"),
-        (lambda: flight("transport", 150.0, {"type": "climb", "climb_rate_mps": 40.0, "duration_s": 9.0}), "at most 15"),
+        (
+            lambda: flight("transport", 150.0, {"type": "climb", "climb_rate_mps": 40.0, "duration_s": 9.0}),
+            "at most 15",
+        ),
         (lambda: flight("aerosonde", 30.0, {"type": "climb", "climb_rate_mps": 2.0, "to_alt_m": 9.0}), "wrong side"),
         (
-            lambda: flight("aerosonde", 30.0, {"type": "descent", "climb_rate_mps": 4.0, "duration_s": 60.0}, alt=120.0),
+            lambda: flight(
+                "aerosonde", 30.0, {"type": "descent", "climb_rate_mps": 4.0, "duration_s": 60.0}, alt=120.0
+            ),
             "manoeuvre 1 of 1 (descent) at t = 3",
         ),
         (
-            lambda: flight("aerosonde", 30.0, {"type": "waypoints", "radius_m": 1.0, "points": [{"north_m": 9.0, "east_m": 9.0}]}),
+            lambda: flight(
+                "aerosonde", 30.0, {"type": "waypoints", "radius_m": 1.0, "points": [{"north_m": 9.0, "east_m": 9.0}]}
+            ),
             "it came within",
         ),
         (lambda: flight("aerosonde", 30.0, straight(9.0), payload_kg=60.0), "finds no steady level flight"),
@@ -191,8 +203,14 @@ def test_impossible_flight_names_manoeuvre_and_time(config, words):
     ("manoeuvre", "words"),
     [
         ({"type": "trun", "bank_deg": 30.0}, "did you mean 'turn'?"),
-        ({"type": "turn", "bank_deg": 30.0}, "exactly one of duration_s, heading_change_deg, to_heading_deg; none is given"),
-        ({"type": "turn", "bank_deg": 30.0, "duration_s": 5.0, "to_heading_deg": 3.0}, "not duration_s and to_heading_deg"),
+        (
+            {"type": "turn", "bank_deg": 30.0},
+            "exactly one of duration_s, heading_change_deg, to_heading_deg; none is given",
+        ),
+        (
+            {"type": "turn", "bank_deg": 30.0, "duration_s": 5.0, "to_heading_deg": 3.0},
+            "not duration_s and to_heading_deg",
+        ),
         ({"type": "turn", "bank_deg": 0.2, "duration_s": 5.0}, "at least 1 degree"),
         ({"type": "turn", "bank": 30.0, "duration_s": 5.0}, "did you mean 'bank_deg'?"),
         ({"type": "climb", "to_alt_m": 900.0}, "exactly one of climb_rate_mps and path_angle_deg"),

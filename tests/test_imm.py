@@ -41,7 +41,7 @@ def test_identical_branches_are_the_single_filter(bank: type, single, log: Senso
 @pytest.mark.parametrize("estimator", [ImmEkf(), ImmRstekf()])
 def test_mode_probabilities_sum_to_one(estimator: ImmEkf, log: SensorLog) -> None:
     solution = estimator.run(log)
-    t, probability = solution.extras["mode_probability"]
+    _, probability = solution.extras["mode_probability"]
     assert probability.shape == (len(log.gnss.t), 3)
     assert (probability >= 0.0).all()
     np.testing.assert_allclose(probability.sum(axis=1), 1.0, atol=1e-12)
@@ -99,7 +99,11 @@ def test_right_mode_is_the_most_probable_in_every_phase() -> None:
             velocity_sigma=0.02,
             std=(3.0, 0.02, 0.005),
         )
-        tables = [{"model": "cv", "velocity_noise": 0.02}, {"model": "ct", "velocity_noise": 0.02}, {"model": "accelerated"}]
+        tables = [
+            {"model": "cv", "velocity_noise": 0.02},
+            {"model": "ct", "velocity_noise": 0.02},
+            {"model": "accelerated"},
+        ]
         t, probability = ImmEkf(branches=tables).run(quiet).extras["mode_probability"]
         best = np.array([table["model"] for table in tables])[probability.argmax(axis=1)]
         for i, phase in enumerate(truth.phases):

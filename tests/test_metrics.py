@@ -24,7 +24,9 @@ def truth() -> Trajectory:
     return Trajectory(t, lat, lon, 500 + 0 * t, np.tile([6.0, 1.0, 0.0], (n, 1)), q, np.zeros((n, 3)), np.zeros((n, 3)))
 
 
-def displaced(truth: Trajectory, ned=(0.0, 0.0, 0.0), dv=(0.0, 0.0, 0.0), euler_deg=(0.0, 0.0, 0.0), **more) -> NavSolution:
+def displaced(
+    truth: Trajectory, ned=(0.0, 0.0, 0.0), dv=(0.0, 0.0, 0.0), euler_deg=(0.0, 0.0, 0.0), **more
+) -> NavSolution:
     """Truth plus errors; each may be a constant or a series."""
     k = slice(1, None)
     north, east = earth.metres_per_radian(truth.lat, truth.h)
@@ -43,9 +45,27 @@ def table(*args, **kwargs) -> dict[tuple[str, str], float]:
 def test_constant_errors_come_back(truth):
     found = table(truth, displaced(truth, (3.0, -4.0, 12.0), (0.1, -0.2, 0.2), (1.0, -2.0, 0.5)), ALL)
     expected = {
-        **{"rmse_north_m": 3.0, "rmse_east_m": 4.0, "rmse_down_m": 12.0, "rmse_position_2d_m": 5.0, "rmse_position_3d_m": 13.0},
-        **{"mean_north_m": 3.0, "mean_east_m": -4.0, "mean_position_3d_m": 13.0, "final_east_m": 4.0, "max_east_m": 4.0},
-        **{"rmse_velocity_3d_mps": 0.3, "mean_v_east_mps": -0.2, "rmse_roll_deg": 1.0, "mean_pitch_deg": -2.0, "rmse_yaw_deg": 0.5},
+        **{
+            "rmse_north_m": 3.0,
+            "rmse_east_m": 4.0,
+            "rmse_down_m": 12.0,
+            "rmse_position_2d_m": 5.0,
+            "rmse_position_3d_m": 13.0,
+        },
+        **{
+            "mean_north_m": 3.0,
+            "mean_east_m": -4.0,
+            "mean_position_3d_m": 13.0,
+            "final_east_m": 4.0,
+            "max_east_m": 4.0,
+        },
+        **{
+            "rmse_velocity_3d_mps": 0.3,
+            "mean_v_east_mps": -0.2,
+            "rmse_roll_deg": 1.0,
+            "mean_pitch_deg": -2.0,
+            "rmse_yaw_deg": 0.5,
+        },
     }
     for name, value in expected.items():
         assert found["all", name] == pytest.approx(value, rel=1e-6), name
@@ -71,7 +91,11 @@ def test_every_name_of_the_list_is_in_the_table(truth):
 
 def test_windows_score_their_own_samples(truth):
     ramp = 0.1 * truth.t
-    windows = [Window("late", ((50.0, 100.0),)), Window("two", ((10.0, 20.0), (30.0, 40.0))), Window("outside", ((200.0, 210.0),))]
+    windows = [
+        Window("late", ((50.0, 100.0),)),
+        Window("two", ((10.0, 20.0), (30.0, 40.0))),
+        Window("outside", ((200.0, 210.0),)),
+    ]
     found = table(truth, displaced(truth, (ramp, 0.0, 0.0)), windows)
     assert found["late", "max_north_m"] == pytest.approx(10.0)
     assert found["late", "mean_north_m"] == pytest.approx(7.505, rel=1e-6)  # (start, end]: 50.1 to 100 s
@@ -98,7 +122,9 @@ def test_nees_and_nis_follow_their_definition(truth):
     nu[::2, 1] = np.nan  # a channel without a measurement does not count
     innovations = Innovations(truth.t[1:], nu, np.tile(np.diag([1.0, 4.0]), (n, 1, 1)))
     biases = {"accel_bias": np.full((n, 3), 2.0), "gyro_bias": np.zeros((n, 3))}
-    solution = displaced(truth, (2.0, 3.0, 4.0), covariance_t=truth.t[1:], covariance=covariance, innovations=innovations, **biases)
+    solution = displaced(
+        truth, (2.0, 3.0, 4.0), covariance_t=truth.t[1:], covariance=covariance, innovations=innovations, **biases
+    )
     errors = SensorErrors(truth.t[1:], np.full((n, 3), 1.0), np.zeros((n, 3)))
     found = table(truth, solution, ALL, errors)
     assert found["all", "nees_position"] == pytest.approx(3.0, rel=1e-5)
@@ -111,11 +137,15 @@ def test_nees_and_nis_follow_their_definition(truth):
 def test_gnss_metrics_are_taken_at_the_antenna_at_the_time_of_the_fix(truth):
     solution, lever = displaced(truth), np.array([1.0, 0.5, -2.0])
     rows = slice(100, 900, 20)
-    spec = dataclasses.replace(GnssFixes.__dataclass_fields__["spec"].default_factory(), lever_arm_b=tuple(lever), latency_s=0.1)
+    spec = dataclasses.replace(
+        GnssFixes.__dataclass_fields__["spec"].default_factory(), lever_arm_b=tuple(lever), latency_s=0.1
+    )
     ned = rotations.quats_to_matrices(truth.q_nb[rows]) @ lever + [5.0, 0.0, 0.0]
     north, east = earth.metres_per_radian(truth.lat[rows], truth.h[rows])
     lon = rotations.wrap(truth.lon[rows] + ned[:, 1] / east)
-    fixes = GnssFixes(truth.t[rows] + 0.1, truth.lat[rows] + ned[:, 0] / north, lon, truth.h[rows] - ned[:, 2], truth.v_n[rows], spec)
+    fixes = GnssFixes(
+        truth.t[rows] + 0.1, truth.lat[rows] + ned[:, 0] / north, lon, truth.h[rows] - ned[:, 2], truth.v_n[rows], spec
+    )
     found = table(truth, solution, ALL, gnss=fixes)
     assert found["all", "rmse_gnss_north_m"] == pytest.approx(5.0, abs=1e-4)
     assert found["all", "mean_gnss_north_m"] == pytest.approx(-5.0, abs=1e-4)

@@ -45,7 +45,9 @@ def test_gradient_is_the_numerical_derivative():
         for i in range(len(net.weights)):
             step = np.zeros(len(net.weights))
             step[i] = 1e-6
-            rise = mlp_kernels.evaluate(net.weights + step, 5, sample) - mlp_kernels.evaluate(net.weights - step, 5, sample)
+            rise = mlp_kernels.evaluate(net.weights + step, 5, sample) - mlp_kernels.evaluate(
+                net.weights - step, 5, sample
+            )
             assert row[i] == pytest.approx(rise / 2e-6, abs=1e-8)
 
 
@@ -150,7 +152,7 @@ def test_same_seed_same_network_other_seed_another():
     x, y = surface(200)
     one, again, other = (train(x, y, 5, seed, Training(epochs=20)).network.weights for seed in (7, 7, 8))
     assert np.array_equal(one, again) and not np.array_equal(one, other)
-    np.random.seed(1)
+    np.random.seed(1)  # noqa: NPY002
     assert np.array_equal(one, train(x, y, 5, 7, Training(epochs=20)).network.weights), "global state has no say"
 
 

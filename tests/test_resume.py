@@ -75,7 +75,9 @@ def test_kill_9_of_the_main_process_at_any_moment(tmp_path, undisturbed):
         workers = psutil.Process(process.pid).children(recursive=True)
         process.kill()
         process.communicate()
-        wait_for(lambda workers=workers: not any(w.is_running() and w.status() != psutil.STATUS_ZOMBIE for w in workers))
+        wait_for(
+            lambda workers=workers: not any(w.is_running() and w.status() != psutil.STATUS_ZOMBIE for w in workers)
+        )
         assert after <= stored(out) < RUNS
         resume(out)
         assert contents(out) == undisturbed
@@ -146,7 +148,9 @@ def test_more_runs_extend_a_result(tmp_path):
     assert contents(tmp_path / "out") == contents(tmp_path / "at once")
 
 
-@pytest.mark.parametrize("change", [{"seed": 2}, {"sensors": {"imu": {"model": "ADIS16448"}}}, {"estimators": [mc.GOOD]}])
+@pytest.mark.parametrize(
+    "change", [{"seed": 2}, {"sensors": {"imu": {"model": "ADIS16448"}}}, {"estimators": [mc.GOOD]}]
+)
 def test_a_changed_scenario_is_not_resumed(tmp_path, change):
     rows = change.get("estimators", [mc.GOOD, mc.BAD])
     runner.run(mc.scenario([mc.GOOD, mc.BAD], runs=2), tmp_path / "out", jobs=1, plugins=[mc.PLUGIN])
@@ -179,5 +183,5 @@ def test_what_may_be_overwritten(tmp_path):
     assert len(os.listdir(out / "runs")) == 2 and (out / "findings.md").exists()
     manifest = out / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"finished": true', '"finished": false'))
-    with pytest.raises(InputError, match="unfinished result.*--resume"):
+    with pytest.raises(InputError, match=r"unfinished result.*--resume"):
         runner.run(scenario, out, jobs=1, plugins=[mc.PLUGIN])

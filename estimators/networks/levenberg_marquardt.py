@@ -53,7 +53,9 @@ class Trained:
     reason: str
 
 
-def train(x: Array, y: Array, neurons: int = 11, seed: int = 0, how: Training | None = None, start: Mlp | None = None) -> Trained:
+def train(
+    x: Array, y: Array, neurons: int = 11, seed: int = 0, how: Training | None = None, start: Mlp | None = None
+) -> Trained:
     """Train a network on ``x`` (N,n), ``y`` (N,): a new one, or ``start`` further (keeping its normalisation).
 
     The same data and seed give the same network, bit for bit. Raises InputError for data of the wrong shape or with
@@ -76,4 +78,6 @@ def train(x: Array, y: Array, neurons: int = 11, seed: int = 0, how: Training | 
     )  # fmt: skip
     scale = float(network.output_scaling[1])
     check_rmse = scale * float(np.sqrt(check)) if held_back.any() else float("nan")
-    return Trained(replace(network, weights=weights), epochs, scale * float(np.sqrt(error)), check_rmse, REASONS[reason])
+    return Trained(
+        replace(network, weights=weights), epochs, scale * float(np.sqrt(error)), check_rmse, REASONS[reason]
+    )

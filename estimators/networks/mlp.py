@@ -76,7 +76,9 @@ def new_mlp(x: Array, y: Array, neurons: int, seed: int) -> Mlp:
     """An untrained network normalised to the data ``x`` (N,n), ``y`` (N,). Nguyen-Widrow weights from ``seed``."""
     x, y = np.atleast_2d(np.asarray(x, dtype=float)), np.asarray(y, dtype=float)
     if neurons < 1 or len(x) != len(y) or len(y) < 2:
-        raise InputError(f"Mlp: needs neurons >= 1 and at least 2 rows, has {neurons}, {x.shape} inputs, {y.shape} targets")
+        raise InputError(
+            f"Mlp: needs neurons >= 1 and at least 2 rows, has {neurons}, {x.shape} inputs, {y.shape} targets"
+        )
     inputs = x.shape[1]
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
     direction = rng.uniform(-1.0, 1.0, (neurons, inputs))
@@ -93,7 +95,9 @@ def save_networks(path: str | Path, networks: Mapping[str, Mlp], meta: Mapping[s
     """Write networks by name to one safetensors file; ``meta`` is plain data kept beside them."""
     from safetensors.numpy import save_file
 
-    tensors = {f"{name}.{key}": np.ascontiguousarray(getattr(net, key)) for name, net in networks.items() for key in _TENSORS}
+    tensors = {
+        f"{name}.{key}": np.ascontiguousarray(getattr(net, key)) for name, net in networks.items() for key in _TENSORS
+    }
     header = {"neurons": {name: net.neurons for name, net in networks.items()}, "meta": dict(meta or {})}
     save_file(tensors, str(path), metadata={"testbed": json.dumps(header, sort_keys=True)})
 

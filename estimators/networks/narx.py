@@ -50,7 +50,9 @@ class Narx:
         u = np.asarray(u, dtype=float)
         u = u[:, None] if u.ndim == 1 else u
         if len(history) < ny or len(u) < nu or (nu + 1) * u.shape[1] + ny != net.inputs:
-            raise InputError(f"NARX with lags ({ny}, {nu}) cannot run on inputs {u.shape} and {len(history)} past outputs")
+            raise InputError(
+                f"NARX with lags ({ny}, {nu}) cannot run on inputs {u.shape} and {len(history)} past outputs"
+            )
         channels = slice(ny, ny + u.shape[1])
         inputs = np.ascontiguousarray((u - net.input_centre[channels]) / net.input_span[channels])
         past = net.normalise_outputs(np.asarray(history, dtype=float)[len(history) - ny :])

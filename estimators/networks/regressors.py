@@ -1,4 +1,4 @@
-"""What can stand in for the MLP: random forest, RBF network and support vector regression, from scikit-learn.
+"""What can stand in for the MLP: RBF network, random forest and support vector regression (both from scikit-learn).
 
 Each maps inputs (N,n) to one target (N,), both in the caller's units; inputs and targets are scaled to [-1, 1] first.
 scikit-learn comes with the extra ``learn``.
@@ -57,8 +57,10 @@ class RadialBasisNetwork:
 
     def fit(self, x: Array, y: Array) -> None:
         """Place the centres, then solve for the output weights."""
-        clusters = _sklearn("cluster").KMeans(self.units, n_init=1, random_state=self.seed).fit(x)
-        self.centres = clusters.cluster_centers_
+        from scipy.cluster.vq import kmeans2
+
+        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed)))
+        self.centres = kmeans2(x, self.units, minit="++", rng=rng)[0]
         distances = np.linalg.norm(self.centres[:, None] - self.centres[None], axis=2)
         self.width = float(np.sort(distances, axis=1)[:, min(1, self.units - 1)].mean()) or 1.0
         self.output = np.linalg.lstsq(self._design(x), y, rcond=1e-10)[0]

@@ -50,5 +50,7 @@ def mutual_information_knn(x: Array, y: Array, neighbours: int = 3, seed: int = 
 def _pair(x: Array, y: Array) -> tuple[Array, Array]:
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if x.ndim != 1 or x.shape != y.shape or len(x) < 16 or not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise InputError(f"mutual information: needs two finite signals of one length >= 16, has {x.shape} and {y.shape}")
+        raise InputError(
+            f"mutual information: needs two finite signals of one length >= 16, has {x.shape} and {y.shape}"
+        )
     return x, y

@@ -41,7 +41,9 @@ def lipschitz_index(x: Array, y: Array, share: float = 0.015) -> float:
 
     x, y = np.ascontiguousarray(x, dtype=float), np.ascontiguousarray(y, dtype=float)
     if x.ndim != 2 or y.shape != x.shape[:1] or len(y) < 50 or not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise InputError(f"Lipschitz index: needs finite regressors (N,m) and output (N,), N >= 50; has {x.shape}, {y.shape}")
+        raise InputError(
+            f"Lipschitz index: needs finite regressors (N,m) and output (N,), N >= 50; has {x.shape}, {y.shape}"
+        )
     if not 0.0 < share <= 1.0:
         raise InputError(f"Lipschitz index: share is {share}, expected above 0 and up to 1")
     largest = log_largest_quotients(x, y, max(1, round(share * len(y))))

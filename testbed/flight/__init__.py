@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
-from testbed.flight.aircraft import list_aircraft
+from pathlib import Path
+
+from testbed.flight.aircraft import Aircraft, list_aircraft, load_aircraft
 from testbed.flight.config import FlightConfig
 from testbed.records import Trajectory
 
@@ -19,7 +21,6 @@ def fly_flight(config: FlightConfig, seed: int = 0, use_cache: bool = True) -> T
     for an unknown aircraft.
     """
     from testbed.flight import cache
-    from testbed.flight.aircraft import load_aircraft
 
     aircraft, folder = load_aircraft(config.aircraft)
     seed = config.wind.seed if config.wind.seed is not None else seed
@@ -32,7 +33,7 @@ def fly_flight(config: FlightConfig, seed: int = 0, use_cache: bool = True) -> T
     return trajectory
 
 
-def _fly(config: FlightConfig, aircraft, folder, seed: int) -> Trajectory:  # type: ignore[no-untyped-def]
+def _fly(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> Trajectory:
     import numpy as np
 
     from testbed.earth import G0

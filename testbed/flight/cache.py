@@ -17,7 +17,7 @@ from testbed.flight.config import FlightConfig
 from testbed.records import Trajectory
 from testbed.resources import cache_root
 
-CODE_VERSION = 1
+CODE_VERSION = 3
 """Raise it with every change of this package that changes a flight."""
 
 

@@ -60,7 +60,7 @@ class Manoeuvre(Table):
     @property
     def label(self) -> str:
         """The name of its phase."""
-        return self.name or self.type  # type: ignore[attr-defined, no-any-return]
+        return self.name or self.type  # type: ignore[attr-defined]
 
 
 class Climbing(Manoeuvre):
@@ -229,17 +229,7 @@ class Waypoints(Manoeuvre):
 
 
 AnyManoeuvre = Annotated[
-    Straight
-    | Turn
-    | Climb
-    | Descent
-    | Loiter
-    | STurn
-    | FigureEight
-    | Accelerate
-    | Decelerate
-    | Doublet
-    | Waypoints,
+    Straight | Turn | Climb | Descent | Loiter | STurn | FigureEight | Accelerate | Decelerate | Doublet | Waypoints,
     Field(discriminator="type"),
 ]
 

@@ -11,7 +11,9 @@ import struct
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,8 @@ from testbed.earth import G0, metres_per_radian
 from testbed.errors import FlightError, TestbedError
 from testbed.flight import autopilot_kernels as ap
 from testbed.flight import manoeuvres
-from testbed.flight.aircraft import Aircraft, gain_array
+from testbed.flight.aircraft import Aircraft
+from testbed.flight.autopilot import gain_array
 from testbed.flight.config import FlightConfig, Loiter, Straight
 from testbed.flight.simulator import FOOT, KELVIN_PER_RANKINE, STATE, Simulator
 from testbed.records import Phase
@@ -34,7 +37,7 @@ GROUND_M = 1.0
 """Below this height over ground the aircraft has hit it."""
 STALL_TICKS, LAG_TICKS = 5, 200
 """Guidance ticks (0.1 s) beyond the stall, or far from a target, after which the flight has failed."""
-SETTLE_MIN_S, SETTLE_MAX_S, GUST_S = 8.0, 90.0, 5.0
+SETTLE_MIN_S, SETTLE_MAX_S, WIND_RAMP_S, GUST_S = 8.0, 90.0, 6.0, 5.0
 AIR = (
     ("airspeed_mps", FOOT),
     ("alpha_deg", math.degrees(1.0)),
@@ -57,7 +60,7 @@ class Recording:
     """What a flight leaves: state at the IMU rate, air data at the control rate, phases, and where time began."""
 
     state: NDArray[np.float64]
-    air_t: NDArray[np.float64]
+    air_t: NDArray
     air: NDArray[np.float64]
     phases: tuple[Phase, ...]
     start: tuple[float, float, float]
@@ -70,9 +73,9 @@ def fly_script(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int
     check_script(config, aircraft)
     substeps = math.ceil(STEP_RATE_MIN / config.rate_hz - 1e-9)
     dt = 1.0 / (config.rate_hz * substeps)
-    pilot = _Pilot(config, aircraft, Simulator(config, aircraft, folder, dt, seed), dt)
+    pilot = _Pilot(config, aircraft, Simulator(config, aircraft, folder, dt, seed), dt, substeps)
     pilot.settle(config)
-    return pilot.fly(config, substeps)
+    return pilot.fly(config)
 
 
 def script_duration(config: FlightConfig) -> float | None:
@@ -81,6 +84,14 @@ def script_duration(config: FlightConfig) -> float | None:
         return config.duration_s
     durations = [getattr(m, "duration_s", None) for m in config.manoeuvres]
     return None if None in durations else float(sum(durations))  # type: ignore[arg-type]
+
+
+def steps_per_control(dt: float, substeps: int) -> int:
+    """Steps between ticks of the autopilot: near `CONTROL_RATE`, and a multiple or a part of a sample's steps."""
+    wanted = max(1, round(1.0 / (dt * CONTROL_RATE)))
+    if wanted >= substeps:
+        return substeps * max(1, round(wanted / substeps))
+    return max(n for n in range(1, wanted + 1) if substeps % n == 0)
 
 
 def check_script(config: FlightConfig, aircraft: Aircraft) -> None:
@@ -120,9 +131,11 @@ def _check_speed(place: str, name: str, aircraft: Aircraft, speed: float) -> Non
 class _Pilot:
     """Autopilot, guidance and recorder around one simulator."""
 
-    def __init__(self, config: FlightConfig, aircraft: Aircraft, simulator: Simulator, dt: float) -> None:
+    def __init__(
+        self, config: FlightConfig, aircraft: Aircraft, simulator: Simulator, dt: float, substeps: int
+    ) -> None:
         self.aircraft, self.simulator, self.dt = aircraft, simulator, dt
-        self.every = max(1, round(1.0 / (dt * CONTROL_RATE)))
+        self.substeps, self.every = substeps, steps_per_control(dt, substeps)
         self.desk = np.zeros(ap.DESK)
         self.measured, self.target, self.memory, self.command = ap.desk_views(self.desk)
         self.memory[ap.SPEED_REFERENCE] = config.initial.speed_mps
@@ -149,7 +162,8 @@ class _Pilot:
         while t < SETTLE_MIN_S or quiet < 1.0:
             if t > SETTLE_MAX_S:
                 break
-            self.simulator.set_wind(min(1.0, t / (0.7 * SETTLE_MIN_S)))
+            if t < SETTLE_MIN_S:
+                self.simulator.set_wind(min(1.0, t / WIND_RAMP_S))
             self._run_tick()
             t += period
             steady = abs(measured[ap.AIRSPEED] - config.initial.speed_mps) < tolerance
@@ -169,7 +183,7 @@ class _Pilot:
                 self._run_tick()
         del self.air[:]
 
-    def fly(self, config: FlightConfig, substeps: int) -> Recording:
+    def fly(self, config: FlightConfig) -> Recording:
         """Fly the manoeuvres and record."""
         duration = script_duration(config)
         samples = None if duration is None else round(duration * config.rate_hz) + 1
@@ -181,9 +195,10 @@ class _Pilot:
         script = _Script(config, s)
         v_n, v_e, v_d, roll, pitch, yaw = sim.state
         state = array("d", (v_n(), v_e(), v_d(), roll(), pitch(), yaw()))
-        store, every, dt = state.extend, self.every, self.dt
+        store, every, substeps, dt = state.extend, self.every, self.substeps, self.dt
         read, act, record = self.read, self.act, self.record
-        step, following, ticks = 0, substeps, 0
+        block, step, ticks, waited = min(every, substeps), 0, 0, 0
+        blocks = range(every // block)
         last = None if samples is None else (samples - 1) * substeps
         # this loop is the whole cost of flying beside JSBSim itself
         while last is None or step < last:
@@ -198,18 +213,27 @@ class _Pilot:
             if ticks % CONTROLS_PER_AIR_SAMPLE == 0:
                 record()
             ticks += 1
-            for _ in range(every):
-                run()
-                step += 1
-                if step == following:
+            step += every
+            for _ in blocks:
+                for _ in repeat(None, block):
+                    run()
+                waited += block
+                if waited == substeps:
                     store((v_n(), v_e(), v_d(), roll(), pitch(), yaw()))
-                    following += substeps
+                    waited = 0
         self.steps += step
         rows = np.frombuffer(state).reshape(-1, len(STATE))[:samples]
         end = (len(rows) - 1) / config.rate_hz
         scale = np.array([factor for _, factor in STATE])
         air = np.frombuffer(self.air).reshape(-1, len(AIR)) * np.array([factor for _, factor in AIR])
-        return Recording(rows * scale, np.arange(len(air)) * CONTROLS_PER_AIR_SAMPLE * every * dt, air, script.phases(end), start, self.steps)
+        return Recording(
+            rows * scale,
+            np.arange(len(air)) * CONTROLS_PER_AIR_SAMPLE * every * dt,
+            air,
+            script.phases(end),
+            start,
+            self.steps,
+        )
 
     def _run_tick(self) -> None:
         self.read()
@@ -322,14 +346,14 @@ def _make_tick(pilot: _Pilot) -> tuple[Callable[[], None], Callable[[], None], C
     set_aileron, set_elevator, set_rudder = sim.surfaces
     throttles = sim.throttles
     desk, command = pilot.desk, pilot.command
-    gains, step, extend = gain_array(pilot.aircraft), ap.step, pilot.air.extend
-    gains[ap.PERIOD] = pilot.every * pilot.dt
+    measured: Any = desk
+    gains, step, extend = gain_array(pilot.aircraft, pilot.every * pilot.dt), ap.step, pilot.air.extend
     scale = pilot.aircraft.model.engine_scale
     pack = struct.Struct(f"{ap.MEASUREMENTS}d").pack_into
 
     def read() -> None:
         pack(
-            desk, 0, roll(), pitch(), yaw(), p(), q(), r(), airspeed() * FOOT, alpha(), beta(), height() * FOOT, climb() * FOOT
+            measured, 0, roll(), pitch(), yaw(), p(), q(), r(), airspeed() * FOOT, alpha(), beta(), height() * FOOT, climb() * FOOT
         )  # fmt: skip
 
     def act() -> None:
@@ -343,6 +367,6 @@ def _make_tick(pilot: _Pilot) -> tuple[Callable[[], None], Callable[[], None], C
 
     def record() -> None:
         controls = (float(command[ap.THROTTLE]), left_aileron(), elevator(), rudder(), engine() * scale)
-        extend((airspeed(), alpha(), beta()) + controls + (wind_n(), wind_e(), wind_d(), temperature()))
+        extend((airspeed(), alpha(), beta(), *controls, wind_n(), wind_e(), wind_d(), temperature()))
 
     return read, act, record

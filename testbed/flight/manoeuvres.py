@@ -166,10 +166,16 @@ def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
             change = (side * (math.radians(m.to_heading_deg or 0.0) - start)) % (2.0 * math.pi)
         swept = _Swept(s)
         near = lambda: side * (swept() + _roll_out_lead(s)) >= change  # noqa: E731
-        yield from _until(s, near, _seconds_of_turn(s, change, bank), f"a heading change of {math.degrees(change):.0f}°")
+        yield from _until(
+            s, near, _seconds_of_turn(s, change, bank), f"a heading change of {math.degrees(change):.0f}°"
+        )
         s.target[ap.HEADING] = wrap(start + side * change)
         _hold_level_laterally(s, bank)
-        settled = lambda: abs(wrap(s.target[ap.HEADING] - s.of(ap.YAW))) < math.radians(3) and abs(s.of(ap.ROLL)) < math.radians(8)  # noqa: E731, E501
+
+        def settled() -> bool:
+            off = abs(wrap(s.target[ap.HEADING] - s.of(ap.YAW)))
+            return off < math.radians(3) and abs(s.of(ap.ROLL)) < math.radians(8)
+
         yield from _until(s, settled, 20.0, f"heading {math.degrees(s.target[ap.HEADING]) % 360:.0f}°")
     _level_off(m, s)
 
@@ -257,11 +263,15 @@ def _figure_eight(m: cfg.FigureEight, s: Situation) -> Iterator[None]:
     yield from _alternate(m, s, first=2.0 * math.pi, later=2.0 * math.pi, count=m.circles)
 
 
-def _alternate(m: cfg.STurn | cfg.FigureEight, s: Situation, first: float, later: float, count: int | None) -> Iterator[None]:
+def _alternate(
+    m: cfg.STurn | cfg.FigureEight, s: Situation, first: float, later: float, count: int | None
+) -> Iterator[None]:
     """Bank to one side until the heading has swept an angle, then to the other, a number of times or for a duration."""
     _climb_while_turning(m, s)
     bank = math.radians(m.bank_deg)
-    seconds = _seconds_of_turn(s, later, bank) + 4.0 * abs(bank) / math.radians(s.aircraft.autopilot.roll_rate_limit_dps)
+    seconds = _seconds_of_turn(s, later, bank) + 4.0 * abs(bank) / math.radians(
+        s.aircraft.autopilot.roll_rate_limit_dps
+    )
     if m.duration_s is not None:
         s.end = s.begin + m.duration_s
     leg = 0

@@ -64,7 +64,9 @@ class Simulator:
             ]
         )
         self.place = self._readers(["position/lat-geod-rad", "position/long-gc-rad", "position/h-agl-ft"])
-        throttles = ["fcs/throttle-cmd-norm"] + [f"fcs/throttle-cmd-norm[{i}]" for i in range(1, aircraft.model.engines)]
+        throttles = ["fcs/throttle-cmd-norm"] + [
+            f"fcs/throttle-cmd-norm[{i}]" for i in range(1, aircraft.model.engines)
+        ]
         surfaces = ["fcs/aileron-cmd-norm", "fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm"]
         self.surfaces = [self._nodes(name).set_double_value for name in surfaces]
         self.throttles = [self._nodes(name).set_double_value for name in throttles]
@@ -87,7 +89,7 @@ class Simulator:
 
     def _start(self, config: FlightConfig, aircraft: Aircraft, seed: int) -> None:
         fdm, initial = self.fdm, config.initial
-        fdm["simulation/randomseed"] = seed
+        fdm["simulation/randomseed"] = 1 + seed % (2**31 - 1)
         fdm["ic/lat-geod-deg"] = initial.lat_deg
         fdm["ic/long-gc-deg"] = initial.lon_deg
         fdm["ic/h-sl-ft"] = initial.alt_m / FOOT

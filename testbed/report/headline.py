@@ -18,6 +18,7 @@ from testbed.statistics import Improvement, improvement
 
 PREFERRED = ("rmse_position_3d_m", "rmse_attitude_deg", "rmse_roll_deg", "rmse_velocity_3d_mps")
 
+FEWEST_FOR_A_TEST = 6
 NONE = Improvement(math.nan, math.nan, math.nan, math.nan, 0)
 
 
@@ -43,43 +44,49 @@ def headline(result: Result) -> Headline:
     order = list(means.sort_values().index)
     winner = order[0]
     value = f"{number(means[winner])} {unit(metric)}".strip()
-    where = "over the whole flight" if window == "all" else f"in the window “{window_label(window)}”"
-    if window == "outages":
-        where = "during the GNSS outages"
-    words = metric_label(metric)
-    first = (
-        f"{winner} has the lowest {words[0].lower() + words[1:] if not words[0].isdigit() else words} {where}: {value}"
-    )
+    measure = f"{_lower(metric_label(metric))} {_where(window)}"
     if len(order) == 1:
-        return Headline(metric, window, winner, [f"{winner}: {words} {where} {value}."])
+        return Headline(metric, window, winner, [f"{winner}: {measure} {value}.", *_losses(result)])
     runs = result.per_run([metric], window).pivot_table(index="run", columns="estimator", values="value")
-    runner_up, baseline = order[1], result.estimators[0]
     gains = {rival: _improvement(result, runs, winner, rival) for rival in order[1:]}
-    level = [rival for rival in order[1:] if not gains[rival].low > 0.0]
-    clear = [rival for rival in order[1:] if gains[rival].low > 0.0]
-    runner_up = order[1]
-    if not level:
-        sentences = [
-            f"{first}, {percent(gains[runner_up].percent)} % below {runner_up}, the next best ({_sureness(gains[runner_up])})."
-        ]
-    else:
-        sentences = [
-            f"{first}. The runs do not tell it apart from {_listed(level)} (lead over {level[0]}: {_difference(gains[level[0]])})."
-        ]
-        if clear:
-            sentences.append(
-                f"It is better than {clear[0]} by {percent(gains[clear[0]].percent)} % ({_sureness(gains[clear[0]])})."
-            )
+    sentences = _ranking(f"{winner} has the lowest {measure}: {value}", gains)
     baseline = result.estimators[0]
-    if baseline not in (winner, runner_up, *clear[: bool(level)]):
-        sentences.append(
-            f"Against {baseline}, the first listed, it is {_difference(gains[baseline])}." if baseline in gains else ""
-        )
-    bad = result.runs[result.runs["status"] != "ok"]
-    if len(bad):
-        counts = bad.groupby("estimator", sort=False).size()
-        sentences.append("Runs lost: " + ", ".join(f"{e} {n} of {result.run_count}" for e, n in counts.items()) + ".")
-    return Headline(metric, window, winner, [s for s in sentences if s], gains[runner_up])
+    if baseline in gains and not any(baseline in sentence for sentence in sentences):
+        sentences.append(f"Against {baseline}, the first listed, it is {_difference(gains[baseline])}.")
+    return Headline(metric, window, winner, [*sentences, *_losses(result)], gains[order[1]])
+
+
+def _ranking(first: str, gains: dict[str, Improvement]) -> list[str]:
+    """How firmly the winner leads. ``gains`` are its leads, from the next best to the last."""
+    level = [rival for rival, gain in gains.items() if not gain.low > 0.0]
+    clear = [rival for rival, gain in gains.items() if gain.low > 0.0]
+    if not level:
+        return [
+            f"{first}, {percent(gains[clear[0]].percent)} % below {clear[0]}, the next best ({_sureness(gains[clear[0]])})."
+        ]
+    lead = gains[level[0]]
+    doubt = f"lead over {level[0]}: {percent(lead.percent)} %, {_sureness(lead)}"
+    sentences = [f"{first}. The runs do not tell it apart from {_listed(level)} ({doubt})."]
+    if clear:
+        gain = gains[clear[0]]
+        sentences.append(f"It is {percent(gain.percent)} % below {clear[0]}, the next ({_sureness(gain)}).")
+    return sentences
+
+
+def _losses(result: Result) -> list[str]:
+    counts = result.runs.loc[result.runs["status"] != "ok"].groupby("estimator", sort=False).size()
+    lost = ", ".join(f"{label} {n} of {result.run_count}" for label, n in counts.items())
+    return [f"Runs lost: {lost}."] if lost else []
+
+
+def _where(window: str) -> str:
+    if window == "all":
+        return "over the whole flight"
+    return "during the GNSS outages" if window == "outages" else f"in the window “{window_label(window)}”"
+
+
+def _lower(words: str) -> str:
+    return words[0].lower() + words[1:] if words[1:2].islower() else words
 
 
 def main_measure(result: Result) -> tuple[str, str]:
@@ -114,14 +121,12 @@ def _difference(gain: Improvement) -> str:
 
 
 def _sureness(gain: Improvement) -> str:
+    """Interval, runs and p-value; below six pairs a signed-rank test cannot reach 5 %, so its p-value says nothing."""
     runs = f"{gain.n} paired run{'s' if gain.n != 1 else ''}"
+    low, high = percent(gain.low), percent(gain.high)
     if not math.isfinite(gain.low):
         return f"{runs}, too few for an interval"
-    p = (
-        ""
-        if not math.isfinite(gain.p_value)
-        else ", p < 0.001"
-        if gain.p_value < 0.001
-        else f", p = {number(gain.p_value, 2)}"
-    )
-    return f"95 % interval {percent(gain.low)} to {percent(gain.high)} %, {runs}{p}"
+    interval = f"95 % interval {low} to {high} %, " if low != high else ""
+    if not math.isfinite(gain.p_value) or gain.n < FEWEST_FOR_A_TEST:
+        return f"{interval}{runs}"
+    return f"{interval}{runs}, p {'< 0.001' if gain.p_value < 0.001 else f'= {number(gain.p_value, 2)}'}"

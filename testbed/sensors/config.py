@@ -147,7 +147,7 @@ class RandomOutages(Table):
 
 
 class OutlierBursts(Table):
-    """Stretches of wrong fixes (multipath): a constant offset in a drawn direction plus enlarged noise."""
+    """Stretches of wrong fixes (multipath) at drawn times: each a constant offset in a drawn direction."""
 
     count: Annotated[int, Field(ge=1)]
     duration_s: Positive = 1.0

@@ -91,8 +91,12 @@ def point_state(trajectory: Trajectory, t: Array, arm_b: Array) -> tuple[Array, 
 
 
 def _rate_curve(trajectory: Trajectory, axis: int) -> tuple[Array, Array]:
-    """An interval's mean rate belongs to its middle."""
-    return trajectory.t[1:] - 0.5 * np.diff(trajectory.t), trajectory.w_ib_b[1:, axis]
+    """Angular rate at moments: an interval's mean belongs to its middle; the ends are extrapolated."""
+    t, w = trajectory.t, trajectory.w_ib_b[1:, axis]
+    if len(w) < 2:
+        return t, np.full(len(t), w[0])
+    first, last = 1.5 * w[0] - 0.5 * w[1], 1.5 * w[-1] - 0.5 * w[-2]
+    return np.concatenate([t[:1], t[1:] - 0.5 * np.diff(t), t[-1:]]), np.concatenate([[first], w, [last]])
 
 
 def outage_windows(config: GnssConfig, trajectory: Trajectory, draws: Draws) -> Windows:

@@ -20,8 +20,8 @@ from testbed.sensors.config import MagConfig
 from testbed.sensors.draws import Draws
 from testbed.specs import MagSpec
 
-TRACK_POINTS = 17
-"""Points of the flight at which the field model is evaluated: a few km apart it is linear to a few nT."""
+TRACK_INTERVAL_S = 60.0
+"""Between the points of the flight at which the field model is evaluated: over 10 km the field is linear to a few nT."""
 
 
 def field_n(lat: float, lon: float, h: float, year: float) -> tuple[float, float, float]:
@@ -45,6 +45,8 @@ def sense_mag(config: MagConfig, trajectory: Trajectory, draws: Draws) -> tuple[
 
     spec = config.spec()
     t = sample_times(trajectory, spec.rate_hz)
+    if not len(t):
+        raise InputError(f"[sensors.mag] rate_hz: the flight is too short for a sample at {spec.rate_hz:g} Hz")
     lat, lon, h, _, q_nb = state_at(trajectory, t)
     local = _along_track(t, lat, lon, h, config.year)
     field = np.einsum("kji,kj->ki", quats_to_matrices(q_nb), local)
@@ -67,7 +69,8 @@ def sample_times(trajectory: Trajectory, rate_hz: float) -> Array:
 
 
 def _along_track(t: Array, lat: Array, lon: Array, h: Array, year: float) -> Array:
-    rows = np.unique(np.linspace(0, len(t) - 1, TRACK_POINTS).astype(int))
+    points = 2 + int((t[-1] - t[0]) / TRACK_INTERVAL_S)
+    rows = np.unique(np.linspace(0, len(t) - 1, points).astype(int))
     knots = np.array([field_n(lat[k], lon[k], h[k], year) for k in rows])
     return np.stack([np.interp(t, t[rows], knots[:, axis]) for axis in range(3)], axis=1)
 

@@ -12,7 +12,7 @@ from testbed.flight.aircraft import load_aircraft
 from testbed.flight.simulator import Simulator
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from flights import flight, turn  # noqa: E402
+from flights import flight, turn
 
 CRUISE = {"aerosonde": (30.0, 500.0), "transport": (170.0, 3000.0), "agile": (220.0, 3000.0)}
 

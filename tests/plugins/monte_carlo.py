@@ -15,7 +15,16 @@ from pathlib import Path
 import numpy as np
 
 from testbed import earth, pipeline
-from testbed.records import GnssFixes, ImuSamples, InitialState, Innovations, NavSolution, SensorErrors, SensorLog, Trajectory
+from testbed.records import (
+    GnssFixes,
+    ImuSamples,
+    InitialState,
+    Innovations,
+    NavSolution,
+    SensorErrors,
+    SensorLog,
+    Trajectory,
+)
 from testbed.streams import stream
 
 DURATION_S, RATE_HZ, SPEED_MPS = 60.0, 10.0, 50.0
@@ -27,7 +36,9 @@ def synthetic_flight(*_args, **_kwargs):
     lat = 0.8 + SPEED_MPS * t / earth.metres_per_radian(0.8, 100.0)[0]
     q = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     down = np.tile([0.0, 0.0, -9.8], (n, 1))
-    return Trajectory(t, lat, zero + 0.1, zero + 100.0, np.tile([SPEED_MPS, 0.0, 0.0], (n, 1)), q, down, np.zeros((n, 3)))
+    return Trajectory(
+        t, lat, zero + 0.1, zero + 100.0, np.tile([SPEED_MPS, 0.0, 0.0], (n, 1)), q, down, np.zeros((n, 3))
+    )
 
 
 def synthetic_log(scenario, trajectory, seed=None, run=0):
@@ -60,7 +71,9 @@ def _truth_plus(log, name, sigma_m, common=0.0):
     covariance = np.tile(np.diag([sigma_m**2 + common**2] + [1.0] * 14), (len(snapshots), 1, 1))
     std = np.tile(np.sqrt(np.diag(covariance[0])), (n, 1))
     rng = stream(seed, run, name + " innovations")
-    nu = Innovations(truth.t[k][snapshots], rng.normal(size=(len(snapshots), 2)), np.tile(np.eye(2), (len(snapshots), 1, 1)))
+    nu = Innovations(
+        truth.t[k][snapshots], rng.normal(size=(len(snapshots), 2)), np.tile(np.eye(2), (len(snapshots), 1, 1))
+    )
     return NavSolution(
         *(truth.t[k], (truth.lat + shift / per_radian)[k], truth.lon[k], truth.h[k], truth.v_n[k], truth.q_nb[k]),
         *(np.zeros((n, 3)), np.zeros((n, 3)), std, truth.t[k][snapshots], covariance, nu),

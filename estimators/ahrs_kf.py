@@ -1,0 +1,190 @@
+"""`ahrs-kf`: attitude from gyros, accelerometers and a magnetometer by a 12-state indirect Kalman filter, without GNSS.
+
+The measurement unit of "AHRS with LSTM-corrected Kalman gain" (2022); its structure is the one that MathWorks documents
+for ``ahrsfilter``, here with the full covariance carried along. The loop is `estimators.ahrs_kernels`. SI units, µT.
+
+The filter estimates attitude and gyro bias alone. Position and velocity of its answer stand still at the initial state,
+with a standard deviation that says that they are not estimated (`UNKNOWN_STD`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.errors import InputError
+from testbed.records import Innovations, NavSolution, SensorLog
+
+Array = NDArray[np.float64]
+
+SNAPSHOT_INTERVAL_S = 1.0
+UNKNOWN_STD = (1e7, 1e3)
+"""1 sigma of position (m) and velocity (m/s), which no attitude filter knows."""
+MINIMUM_NOISE = (1e-7, 1e-4, 1e-3)
+"""Least 1 sigma of a sample (rad/s, m/s², µT): an ideal sensor would make the covariance singular."""
+
+
+class Recording(NamedTuple):
+    """A log as the compiled loops take it: (N,3) samples, the row of the field sample that arrives with each, or -1."""
+
+    gyro: Array
+    accel: Array
+    mag: Array
+    mag_row: NDArray[np.int64]
+    field_n: Array
+
+
+@dataclass(frozen=True)
+class AhrsKf:
+    """Attitude filter on gravity and magnetic field.
+
+    The noise of the sensors comes from their specifications times the ``_scale`` parameters (1 is the data sheet).
+    Linear acceleration and magnetic disturbance are first-order Gauss-Markov processes in b: sigma and correlation time.
+    """
+
+    linear_accel_mps2: float = 3.0
+    linear_accel_time_s: float = 10.0
+    mag_disturbance_ut: float = 1.5
+    mag_disturbance_time_s: float = 1000.0
+    gyro_noise_scale: float = 1.0
+    gyro_bias_scale: float = 1.0
+    accel_noise_scale: float = 1.0
+    mag_noise_scale: float = 1.0
+
+    name: ClassVar[str] = "ahrs-kf"
+    parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = {
+        "linear_accel_mps2": (0.01, 30.0, "log"),
+        "linear_accel_time_s": (0.02, 300.0, "log"),
+        "mag_disturbance_ut": (0.01, 30.0, "log"),
+        "mag_disturbance_time_s": (0.1, 1e5, "log"),
+        "gyro_noise_scale": (0.1, 100.0, "log"),
+        "gyro_bias_scale": (0.1, 100.0, "log"),
+        "accel_noise_scale": (0.1, 1000.0, "log"),
+        "mag_noise_scale": (0.1, 1000.0, "log"),
+    }
+    """What a tuner may search: name to (low, high, scale of the axis)."""
+
+    def __post_init__(self) -> None:
+        for key in self.parameter_space:
+            value = getattr(self, key)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < math.inf:
+                raise InputError(f"{self.name}: {key} = {value!r}, must be a positive number")
+
+    def run(self, log: SensorLog) -> NavSolution:
+        """Filter the log. Raises InputError when it has no magnetometer."""
+        from estimators.ahrs_kernels import filter_log
+
+        return self.solve(log, lambda arguments: filter_log(*arguments))
+
+    def solve(self, log: SensorLog, loop) -> NavSolution:  # type: ignore[no-untyped-def]
+        """The answer of a compiled ``loop`` that takes the arguments of `ahrs_kernels.filter_log`."""
+        n, t = len(log.imu.t), log.imu.t
+        state, p = self.start(log)
+        states, std = np.empty((n, 13)), np.empty((n, 3))
+        stride = min(n, max(1, round(SNAPSHOT_INTERVAL_S * (n - 1) / (t[-1] - t[0]))))
+        kept = np.empty((n // stride, 12, 12)), np.empty((n // stride, 6)), np.empty((n // stride, 6, 6))
+        recording = prepare(log, self.name)
+        loop((*recording, self.model(log), state, p, stride, states, std, *kept))
+        return self._solution(log, states, std, stride, kept)
+
+    def model(self, log: SensorLog) -> Array:
+        """The figures of `ahrs_kernels.MODEL` for this log."""
+        from testbed.earth import gravity
+
+        dt = interval(log)
+        gyro, accel, mag = log.imu.spec.gyro, log.imu.spec.accel, log.mag.spec if log.mag else None
+        gyro_sigma = max(gyro.white_noise / math.sqrt(dt), MINIMUM_NOISE[0]) * self.gyro_noise_scale
+        accel_sigma = max(accel.white_noise / math.sqrt(dt), MINIMUM_NOISE[1]) * self.accel_noise_scale
+        mag_sigma = max(mag.noise_sigma if mag else 0.0, MINIMUM_NOISE[2]) * self.mag_noise_scale
+        wander = 2.0 * gyro.gauss_markov_sigma() ** 2 / gyro.correlation_time_s + gyro.rate_random_walk**2
+        accel_decay = math.exp(-dt / self.linear_accel_time_s)
+        mag_decay = math.exp(-dt / self.mag_disturbance_time_s)
+        return np.array(
+            [
+                gyro_sigma**2,
+                wander * dt * self.gyro_bias_scale**2,
+                self.linear_accel_mps2**2 * (1.0 - accel_decay**2),
+                self.mag_disturbance_ut**2 * (1.0 - mag_decay**2),
+                accel_sigma**2,
+                mag_sigma**2,
+                1.0,
+                accel_decay,
+                mag_decay,
+                dt,
+                gravity(log.initial.lat, log.initial.h),
+            ]
+        )
+
+    def start(self, log: SensorLog) -> tuple[Array, Array]:
+        """State (13,) and covariance (12,12) in which the filter starts."""
+        from testbed.rotations import quat_to_matrix
+
+        initial = log.initial
+        state = np.concatenate([initial.q_nb, initial.gyro_bias, np.zeros(6)])
+        c_nb, p = np.array(quat_to_matrix(initial.q_nb)), np.zeros((12, 12))
+        p[:3, :3] = c_nb.T @ np.diag(initial.std[6:9] ** 2) @ c_nb
+        p[3:6, 3:6] = np.diag(initial.std[12:15] ** 2)
+        p[6:9, 6:9] = self.linear_accel_mps2**2 * np.eye(3)
+        p[9:, 9:] = self.mag_disturbance_ut**2 * np.eye(3)
+        return state, p
+
+    def _solution(self, log: SensorLog, states: Array, std: Array, stride: int, kept: tuple[Array, ...]) -> NavSolution:
+        t, initial, n = log.imu.t, log.initial, len(log.imu.t)
+        snapshots, z, s = kept
+        at = t[stride - 1 :: stride]
+        still = np.full(n, initial.lat), np.full(n, initial.lon), np.full(n, initial.h), np.tile(initial.v_n, (n, 1))
+        full = np.tile(np.concatenate([np.repeat(UNKNOWN_STD, 3), initial.std[6:]]), (n, 1))
+        full[:, 6:9] = std
+        return NavSolution(
+            t,
+            *still,
+            states[:, :4],
+            accel_bias=np.tile(initial.accel_bias, (n, 1)),
+            gyro_bias=states[:, 4:7],
+            std=full,
+            covariance_t=at,
+            covariance=_covariance_n(snapshots, states[stride - 1 :: stride], full[stride - 1 :: stride]),
+            innovations=Innovations(at, z, s),
+            extras={"linear_accel_mps2": (at, states[stride - 1 :: stride, 7:10])},
+        )
+
+
+def _covariance_n(snapshots: Array, states: Array, std: Array) -> Array:
+    """(M,15,15) in the order of `STATE_NAMES` from (M,12,12) in b; what the filter has no state for is diagonal."""
+    from testbed.rotations import quats_to_matrices
+
+    out = np.zeros((len(snapshots), 15, 15))
+    diagonal = np.arange(15)
+    out[:, diagonal, diagonal] = std**2
+    c_nb = quats_to_matrices(np.ascontiguousarray(states[:, :4]))
+    # phi is the error of the estimate in n, theta its correction in b: phi = -C theta; bias errors change sign too.
+    out[:, 6:9, 6:9] = c_nb @ snapshots[:, :3, :3] @ c_nb.transpose(0, 2, 1)
+    cross = c_nb @ snapshots[:, :3, 3:6]
+    out[:, 6:9, 12:15], out[:, 12:15, 6:9] = cross, cross.transpose(0, 2, 1)
+    out[:, 12:15, 12:15] = snapshots[:, 3:6, 3:6]
+    return out
+
+
+def interval(log: SensorLog) -> float:
+    """Sample interval of the IMU, s."""
+    return float((log.imu.t[-1] - log.imu.t[0]) / (len(log.imu.t) - 1))
+
+
+def prepare(log: SensorLog, who: str) -> Recording:
+    """The log's samples, freed of the accelerometer bias that the calibration before the flight gave.
+
+    Each field sample goes with the first IMU sample at or after its time. Raises InputError without a magnetometer.
+    """
+    if log.mag is None or len(log.mag.t) == 0:
+        raise InputError(f"{who}: the log has no magnetometer; give the scenario a table [sensors.mag]")
+    t, mag = log.imu.t, log.mag
+    row = np.full(len(t), -1, dtype=np.int64)
+    place = np.searchsorted(t, mag.t - 1e-6)
+    inside = place < len(t)
+    row[place[inside]] = np.flatnonzero(inside)
+    accel = log.imu.accel - log.initial.accel_bias
+    return Recording(log.imu.gyro, accel, mag.field, row, np.array(mag.spec.field_n))
