@@ -154,7 +154,7 @@ def correct(filter_code, x, p, z, r, imu, setting, tracking, fixes, memory, buff
         if filter_code == strong_tracking.STEKF or theta > tracking[1]:
             fading = strong_tracking.fading_factor(memory, covariance, r)
         if fading > 1.0:
-            p *= fading
+            strong_tracking.fade(p, fading, scratch[0])
             kalman.innovation_covariance(p, h, r, covariance, scratch)
             square, log_det = strong_tracking.whiten(covariance, residual, COMMON, factor, white)
     kalman.update(x, p, residual, h, r, covariance, scratch)

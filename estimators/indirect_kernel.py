@@ -13,7 +13,16 @@ from estimators.error_model import N_STATES, coefficients, propagate, symmetrize
 from estimators.kalman import update
 from estimators.strapdown import advance, compensate, coning_sculling, increments
 from testbed import earth
-from testbed.rotations import cross, matrix_rotate, quat_multiply, quat_normalize, quat_to_euler, quat_to_matrix, rotvec_to_quat, wrap
+from testbed.rotations import (
+    cross,
+    matrix_rotate,
+    quat_multiply,
+    quat_normalize,
+    quat_to_euler,
+    quat_to_matrix,
+    rotvec_to_quat,
+    wrap,
+)
 
 MEASUREMENTS = 6
 """Position north, east, down (m) and velocity north, east, down (m/s) of the antenna."""
@@ -202,7 +211,23 @@ def reset(p, change_v):
 
 @njit(cache=True, parallel=True)
 def filter_candidates(
-    t_start, t, gyro, accel, lever, fix_t, fix_lla, fix_v, start, covariance_start, decay, bias_mean, q, r, stride, truth, rmse
+    t_start,
+    t,
+    gyro,
+    accel,
+    lever,
+    fix_t,
+    fix_lla,
+    fix_v,
+    start,
+    covariance_start,
+    decay,
+    bias_mean,
+    q,
+    r,
+    stride,
+    truth,
+    rmse,
 ):
     """Filter one log with many noise assumptions: ``q`` (C,12), ``r`` (C,6) variances; arguments as `filter_log`.
 

@@ -61,7 +61,9 @@ class IndirectKf:
                 raise InputError(f"{self.name}: {key} = {value!r}, must be a positive number")
         for key, length in (("process_noise", 12), ("measurement_noise", 6)):
             values = getattr(self, key)
-            if values is not None and not (np.shape(values) == (length,) and np.isfinite(values).all() and min(values) >= 0.0):
+            if values is not None and not (
+                np.shape(values) == (length,) and np.isfinite(values).all() and min(values) >= 0.0
+            ):
                 raise InputError(f"{self.name}: {key} = {values!r}, must be {length} numbers, none negative")
 
     def run(self, log: SensorLog) -> NavSolution:
@@ -81,7 +83,9 @@ class IndirectKf:
         used = np.isfinite(innovation[:, 0])
         return NavSolution(
             imu.t,
-            *lla.T,
+            lla[:, 0],
+            lla[:, 1],
+            lla[:, 2],
             v_n,
             q_nb,
             accel_bias=bias[:, :3],
@@ -120,7 +124,9 @@ def recordings(log: SensorLog) -> tuple[float, Array, Array, Array, Array, Array
     return log.initial.t, log.imu.t, log.imu.gyro, log.imu.accel, lever, gnss.t - gnss.spec.latency_s, place, gnss.v_n
 
 
-def search_errors(log: SensorLog, reference: Trajectory, process_noise: Array, measurement_noise: Array, stride: int = 10) -> Array:
+def search_errors(
+    log: SensorLog, reference: Trajectory, process_noise: Array, measurement_noise: Array, stride: int = 10
+) -> Array:
     """RMSE of many filters on one log, in parallel: for tuners.
 
     Candidate c has the root densities ``process_noise[c]`` (C,12) and standard deviations ``measurement_noise[c]`` (C,6),
@@ -130,9 +136,15 @@ def search_errors(log: SensorLog, reference: Trajectory, process_noise: Array, m
     from estimators.indirect_kernel import filter_candidates
 
     rows = np.searchsorted(reference.t, log.imu.t[stride - 1 :: stride] - 1e-7)
-    if len(rows) == 0 or rows[-1] >= len(reference.t) or np.abs(reference.t[rows] - log.imu.t[stride - 1 :: stride]).max() > 1e-6:
+    if (
+        len(rows) == 0
+        or rows[-1] >= len(reference.t)
+        or np.abs(reference.t[rows] - log.imu.t[stride - 1 :: stride]).max() > 1e-6
+    ):
         raise InputError(f"the reference '{reference.name}' has no row at each IMU time of '{log.name}'")
-    truth = np.column_stack([reference.lat, reference.lon, reference.h, reference.v_n, quats_to_eulers(reference.q_nb)])[rows]
+    truth = np.column_stack(
+        [reference.lat, reference.lon, reference.h, reference.v_n, quats_to_eulers(reference.q_nb)]
+    )[rows]
     q = np.ascontiguousarray(process_noise, dtype=float) ** 2
     r = np.maximum(np.ascontiguousarray(measurement_noise, dtype=float), MINIMUM_STD) ** 2
     start, covariance, _, decay, mean = IndirectKf().model(log)
@@ -144,7 +156,9 @@ def search_errors(log: SensorLog, reference: Trajectory, process_noise: Array, m
 def require_gnss(log: SensorLog, name: str) -> GnssFixes:
     """The log's GNSS fixes. Raises InputError when it has none."""
     if log.gnss is None or len(log.gnss.t) == 0:
-        raise InputError(f"estimator '{name}' needs GNSS fixes, but the log '{log.name}' has none; add [sensors.gnss] or use 'ins'")
+        raise InputError(
+            f"estimator '{name}' needs GNSS fixes, but the log '{log.name}' has none; add [sensors.gnss] or use 'ins'"
+        )
     return log.gnss
 
 

@@ -44,7 +44,9 @@ class Ins:
         )
         return NavSolution(
             imu.t,
-            *lla.T,
+            lla[:, 0],
+            lla[:, 1],
+            lla[:, 2],
             v_n,
             q_nb,
             accel_bias=np.tile(start.accel_bias, (n, 1)),

@@ -6,7 +6,6 @@ only; the units are those of the states and measurements that the caller hands i
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
 
 

@@ -43,7 +43,7 @@ class Learner(OpenLoop):
     neurons: int = 11
     seed: int = 0
     """Of the initial weights and of the choice of held-back rows."""
-    epochs: int = 200
+    epochs: int = 100
     patience: int = 6
     validation_share: float = 0.15
     """Share of the rows held back to stop the training early."""

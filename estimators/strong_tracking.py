@@ -11,6 +11,10 @@ import numpy as np
 from numba import njit
 
 EKF, STEKF, RSTEKF = 0, 1, 2
+CEILING = (1e4, 1e3, np.pi, 10.0, 1.0)
+"""Position (m), velocity (m/s), attitude (rad), accelerometer (m/s²) and gyro bias (rad/s): a standard deviation of this
+size says that nothing is known. One factor fades all states alike, so whatever the fixes do not observe (yaw in straight
+flight, accelerometer biases in a model that does not use them) would grow without end until arithmetic fails."""
 FILTERS = {"ekf": EKF, "stekf": STEKF, "rstekf": RSTEKF}
 
 
@@ -32,6 +36,20 @@ def fading_factor(mean_square, covariance, r):
     if predicted <= 0.0:
         return 1.0
     return max(1.0, excess / predicted)
+
+
+@njit(cache=True)
+def fade(p, factor, roots):
+    """P = L P in place for a covariance (15,15) in the order of the states, short of `CEILING`. ``roots`` (15,) scratch.
+
+    A state at its ceiling keeps its variance; rows and columns are scaled together, so P stays positive.
+    """
+    for i in range(15):
+        room = CEILING[i // 3] * CEILING[i // 3] / p[i, i] if p[i, i] > 0.0 else factor
+        roots[i] = np.sqrt(min(factor, max(1.0, room)))
+    for i in range(15):
+        for j in range(15):
+            p[i, j] *= roots[i] * roots[j]
 
 
 @njit(cache=True)

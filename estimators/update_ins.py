@@ -51,7 +51,9 @@ class UpdateIns(IndirectKf):
                 t[rows],
                 imu.gyro[rows],
                 imu.accel[rows],
-                *lla[first],
+                lla[first, 0],
+                lla[first, 1],
+                lla[first, 2],
                 v_n[first],
                 q_nb[first],
                 biases["accel_bias"][first + 1],
@@ -60,7 +62,16 @@ class UpdateIns(IndirectKf):
                 v_n[rows],
                 q_nb[rows],
             )
-        return replace(solution, lat=lla[:, 0], lon=lla[:, 1], h=lla[:, 2], v_n=v_n, q_nb=q_nb, **biases)
+        return replace(
+            solution,
+            lat=lla[:, 0],
+            lon=lla[:, 1],
+            h=lla[:, 2],
+            v_n=v_n,
+            q_nb=q_nb,
+            accel_bias=biases["accel_bias"],
+            gyro_bias=biases["gyro_bias"],
+        )
 
 
 def outage_rows(log: SensorLog, longer_than_s: float, name: str) -> list[tuple[int, int]]:

@@ -7,6 +7,7 @@ in flight, which are computed again; a unit that keeps killing its worker is giv
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import sys
@@ -69,7 +70,7 @@ def _start_worker(setup: Setup, heartbeats: str) -> None:
     threading.Thread(target=_die_with_parent, daemon=True).start()
     _standing.enter_context(single_threaded())
     _bench, _heartbeats = Bench(setup), Path(heartbeats)
-    _beat(-1, "")
+    _beat(-1, "", None)
 
 
 def _die_with_parent() -> None:
@@ -79,9 +80,11 @@ def _die_with_parent() -> None:
         os._exit(1)
 
 
-def _beat(run: int, estimator: str) -> None:
+def _beat(run: int, estimator: str, limit: float | None) -> None:
+    """Leave word of what this process begins and when it should be done."""
     assert _heartbeats is not None
-    (_heartbeats / str(os.getpid())).write_text(f"{run}\n{time.time()!r}\n{estimator}")
+    deadline = time.time() + limit if limit is not None else math.inf
+    (_heartbeats / str(os.getpid())).write_text(f"{run}\n{deadline!r}\n{estimator}")
 
 
 def _work(run: int, skip: dict[str, str]) -> Finished:
@@ -94,7 +97,7 @@ class Pool:
 
     def __init__(self, setup: Setup, jobs: int) -> None:
         self.setup, self.jobs = setup, jobs
-        self.limit = setup.timeout_s or setup.scenario.monte_carlo.timeout_s
+        self.limit = setup.limit_s
         self._folder = tempfile.TemporaryDirectory(prefix="testbed-")
         self._executor: ProcessPoolExecutor | None = None
         self._broken: dict[int, int] = {}
@@ -151,8 +154,8 @@ class Pool:
 
     def _kill_hanging(self, limit: float) -> None:
         """Kill workers whose estimator does not heed its time limit, and give that estimator up for the run."""
-        for pid, run, started, estimator in self._heartbeats():
-            if estimator and time.time() - started > limit + GRACE_S:
+        for pid, run, deadline, estimator in self._heartbeats():
+            if estimator and time.time() > deadline + GRACE_S:
                 self._skip.setdefault(run, {})[estimator] = f"timeout: no answer within {limit:g} s, worker killed"
                 self._broken[run] = 0
                 with contextlib.suppress(ProcessLookupError):
@@ -160,7 +163,7 @@ class Pool:
                 (Path(self._folder.name) / str(pid)).write_text("-1\n0\n")
 
     def _heartbeats(self) -> list[tuple[int, int, float, str]]:
-        """(process, run, start, estimator) of what each worker last began; an empty estimator means nothing."""
+        """(process, run, deadline, estimator) of what each worker last began; an empty estimator means nothing."""
         out = []
         for path in Path(self._folder.name).iterdir():
             lines = path.read_text().split("\n", 2)

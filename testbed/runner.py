@@ -258,8 +258,7 @@ def _units(setup: Setup, missing: list[int], jobs: int, scheduler: str | None) -
     """Generator of finished units."""
     if scheduler is not None:
         return executors.cluster(setup, missing, scheduler)
-    guarded = setup.timeout_s or setup.scenario.monte_carlo.timeout_s
-    if not guarded and (jobs == 1 or len(missing) == 1):
+    if setup.limit_s is None and (jobs == 1 or len(missing) == 1):
         return executors.inline(setup, missing)
     return executors.Pool(setup, min(jobs, len(missing))).run(missing)
 

@@ -24,8 +24,8 @@ from testbed.windows import Window
 ENVELOPE_POINTS = 600
 """Largest number of times in an error envelope; the spacing is a whole number of seconds."""
 
-Heartbeat = Callable[[int, str], None]
-"""Called with run and estimator row before an estimator starts, and with an empty row when the unit ends."""
+Heartbeat = Callable[[int, str, float | None], None]
+"""Called with run, estimator row and time limit (s) before an estimator starts; with an empty row when the unit ends."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,13 @@ class Setup:
     scenario: Scenario
     plugins: tuple[str, ...] = ()
     timeout_s: float | None = None
+    cold_s: float = 60.0
+    """Added to the time limit of an estimator's first run in a process, which may have to compile or load a network."""
+
+    @property
+    def limit_s(self) -> float | None:
+        """Longest time of one estimator on one run."""
+        return self.timeout_s or self.scenario.monte_carlo.timeout_s
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,7 @@ class Bench:
         for plugin in setup.plugins:
             load_plugin(plugin)
         self._trajectory: Trajectory | None = None
+        self._warm: set[str] = set()
 
     def trajectory(self, run: int) -> Trajectory:
         """The flight of a run."""
@@ -93,9 +101,13 @@ class Bench:
             if skip and entry.row in skip:
                 result.outcomes.append(Outcome(entry.row, _short(skip[entry.row]), skip[entry.row]))
                 continue
+            limit = self.setup.limit_s
+            if limit is not None and entry.name not in self._warm:
+                limit += self.setup.cold_s
             if heartbeat is not None:
-                heartbeat(run, entry.row)
-            outcome, solution = self._estimate(entry, log)
+                heartbeat(run, entry.row, limit)
+            outcome, solution = self._estimate(entry, log, limit)
+            self._warm.add(entry.name)
             if solution is not None:
                 outcome, series = self._score(result, outcome, solution, trajectory, log, errors, windows)
                 if series is not None and run == 0:
@@ -104,12 +116,13 @@ class Bench:
         if run == 0:
             result.files = details.make(scenario, trajectory, log, collected)
         if heartbeat is not None:
-            heartbeat(run, "")
+            heartbeat(run, "", None)
         return result
 
-    def _estimate(self, entry: EstimatorConfig, log: SensorLog) -> tuple[Outcome, NavSolution | None]:
+    def _estimate(
+        self, entry: EstimatorConfig, log: SensorLog, limit: float | None
+    ) -> tuple[Outcome, NavSolution | None]:
         """One estimator on one log; whatever it raises costs only its own row."""
-        limit = self.setup.timeout_s or self.setup.scenario.monte_carlo.timeout_s
         guard: AbstractContextManager[Any] = time_limit(limit) if limit else nullcontext()
         samples, start = len(log.imu.t), time.perf_counter()
         try:

@@ -75,7 +75,9 @@ def _matrices(euler):
     return quats_to_matrices(eulers_to_quats(euler))
 
 
-def analytic_flight(duration_s=300.0, rate_hz=100.0, lat_deg=45.0, lon_deg=10.0, alt_m=1000.0, vigour=1.0) -> Trajectory:
+def analytic_flight(
+    duration_s=300.0, rate_hz=100.0, lat_deg=45.0, lon_deg=10.0, alt_m=1000.0, vigour=1.0
+) -> Trajectory:
     """The flight as truth at ``rate_hz``; ``vigour`` scales every motion, 1 is the hardest."""
     place = (np.radians(lat_deg), np.radians(lon_deg), alt_m, vigour)
     t = np.arange(round(duration_s * rate_hz) + 1) / rate_hz

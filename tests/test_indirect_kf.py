@@ -34,7 +34,12 @@ IMU = ImuSpec(
     accel=TriadSpec(turn_on_bias=0.05, bias_instability=2e-3, correlation_time_s=60.0, white_noise=3e-3),
 )
 GNSS = GnssSpec(
-    rate_hz=5.0, horizontal_sigma=2.0, vertical_sigma=4.0, velocity_sigma=0.1, lever_arm_b=(0.6, -0.3, -0.8), latency_s=0.0
+    rate_hz=5.0,
+    horizontal_sigma=2.0,
+    vertical_sigma=4.0,
+    velocity_sigma=0.1,
+    lever_arm_b=(0.6, -0.3, -0.8),
+    latency_s=0.0,
 )
 FIX_OFFSET_S = 0.0037
 """Fixes fall between IMU samples."""
@@ -249,7 +254,10 @@ def test_bias_state_has_the_variance_of_constant_plus_markov():
     markov, constant = spec.gauss_markov_sigma() ** 2, spec.turn_on_bias**2
     log, *_ = draw_log(0)
     known = replace(log, initial=replace(log.initial, std=np.full(15, 1e-12)))
-    for case, final in ((log, constant + markov), (known, 2.0 * markov * constant / (constant + markov) + markov**2 / (constant + markov))):
+    for case, final in (
+        (log, constant + markov),
+        (known, 2.0 * markov * constant / (constant + markov) + markov**2 / (constant + markov)),
+    ):
         noise = noise_model(case)
         assert noise.q[9] == pytest.approx(2.0 * markov / spec.correlation_time_s)
         share = constant / (constant + markov)
@@ -318,7 +326,9 @@ def test_log_without_gnss_is_refused(kind):
         kind().run(replace(log, gnss=None))
 
 
-@pytest.mark.parametrize("wrong", [{SCALES[0]: 0.0}, {SCALES[1]: float("nan")}, {"process_noise": (1.0,) * 11}, {SCALES[2]: "1"}])
+@pytest.mark.parametrize(
+    "wrong", [{SCALES[0]: 0.0}, {SCALES[1]: float("nan")}, {"process_noise": (1.0,) * 11}, {SCALES[2]: "1"}]
+)
 def test_parameters_out_of_range_are_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         IndirectKf(**wrong)

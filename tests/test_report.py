@@ -188,7 +188,7 @@ def test_missing_and_damaged_folders_are_refused(tmp_path: Path) -> None:
 def test_latex_rows_have_as_many_cells_as_columns(folder: Path) -> None:
     text = (folder / "tables.tex").read_text()
     assert text.count("\\begin{tabular}") == text.count("\\bottomrule") >= 5
-    for body in re.findall(r"\\begin\{tabular\}\{(.*)\}\n(.*?)\\end\{tabular\}", text, re.DOTALL):
+    for body in re.findall(r"\\begin\{tabular\}\{([^\n]*)\}\n(.*?)\\end\{tabular\}", text, re.DOTALL):
         columns = len(re.sub(r"p\{[^}]*\}", "p", body[0]))
         rows = re.findall(r"^ {4}([^\\\n].*|\\textbf.*) \\\\$", body[1].split("\\midrule")[1], re.MULTILINE)
         assert rows

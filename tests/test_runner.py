@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 
@@ -23,6 +24,13 @@ def real_pipeline():
     before = pipeline.fly, pipeline.sense
     yield
     pipeline.fly, pipeline.sense = before
+
+
+@pytest.fixture
+def short_cold_start(monkeypatch):
+    """Three seconds for a worker to load what an estimator needs, so that a hang need not be waited for longer."""
+    monkeypatch.setattr(runner, "Setup", functools.partial(runner.Setup, cold_s=3.0))
+    monkeypatch.setattr("testbed.executors.GRACE_S", 0.5)
 
 
 def run(scenario, out, **options):
@@ -75,9 +83,10 @@ def test_statistics_of_a_plugin_with_known_noise(tmp_path):
     assert nis["lower"] < nis["mean"] < nis["upper"]
 
 
+@pytest.mark.usefixtures("short_cold_start")
 def test_a_bad_estimator_costs_its_own_row(tmp_path):
     rows = [mc.GOOD, {"name": "raises"}, {"name": "nan"}, {"name": "hangs"}]
-    result = run(mc.scenario(rows, runs=20), tmp_path / "out", jobs=2, timeout=0.5)
+    result = run(mc.scenario(rows, runs=20), tmp_path / "out", jobs=2, timeout=1.0)
     status = result.runs.set_index(["estimator", "run"])["status"]
     assert (status["good"] == "ok").all() and len(status["good"]) == 20
     assert status["raises"][lambda s: s != "ok"].to_dict() == dict.fromkeys((3, 13), "failed: ValueError: as told")
@@ -91,10 +100,10 @@ def test_a_bad_estimator_costs_its_own_row(tmp_path):
     assert reasons["nan", 1] == "not finite from 30.1 s"
 
 
-def test_native_code_that_hangs_or_crashes_is_given_up(tmp_path, monkeypatch):
-    monkeypatch.setattr("testbed.executors.GRACE_S", 0.5)
+@pytest.mark.usefixtures("short_cold_start")
+def test_native_code_that_hangs_or_crashes_is_given_up(tmp_path):
     rows = [mc.GOOD, {"name": "hangs", "params": {"deaf": True}}, {"name": "kills"}]
-    result = run(mc.scenario(rows, runs=4), tmp_path / "out", jobs=2, timeout=0.5)
+    result = run(mc.scenario(rows, runs=4), tmp_path / "out", jobs=2, timeout=1.0)
     status = result.runs.set_index(["estimator", "run"])["status"]
     assert (status["good"] == "ok").all() and len(status) == 12
     assert status["hangs"][lambda s: s != "ok"].to_dict() == {1: "timeout"}

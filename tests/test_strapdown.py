@@ -10,7 +10,6 @@ from testbed.records import ImuSamples, InitialState, SensorLog
 from testbed.rotations import attitude_errors, quat_rotate_inverse
 
 
-
 def perfect_log(flight):
     zero = np.zeros(3)
     start = InitialState(
@@ -25,7 +24,7 @@ def position_errors(solution, flight):
     )
 
 
-@pytest.mark.parametrize("lat_deg, lon_deg", [(45.0, 10.0), (-60.0, -120.0), (0.0, 0.0)])
+@pytest.mark.parametrize(("lat_deg", "lon_deg"), [(45.0, 10.0), (-60.0, -120.0), (0.0, 0.0)])
 def test_perfect_imu_returns_to_the_truth(lat_deg, lon_deg):
     """300 s at 100 Hz, up to 7 g and 45 °/s. The bounds are a fifth of what the bench promises (0.1 m, 0.5 m)."""
     flight = analytic_flight(300.0, 100.0, lat_deg, lon_deg)

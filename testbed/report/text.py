@@ -92,7 +92,7 @@ def _latex_table(result: Result, table: Table) -> str:
     layout = "l" + "".join("r" if c.numeric else "p{5cm}" if c.label == "Claim" else "l" for c in table.columns)
     lines = [
         "\\begin{table}[htbp]",
-        "  \\centering\\small",
+        "  \\centering\\footnotesize\\setlength{\\tabcolsep}{4pt}",
         f"  \\caption{{{_escape(f'{table.title}. {table.note}')}}}",
     ]
     lines += [f"  \\label{{tab:{result.name}-{table.key}}}", f"  \\begin{{tabular}}{{{layout}}}", "    \\toprule"]
