@@ -49,16 +49,23 @@ def log_probabilities(prior, log_likelihood, posterior):
 
 
 @njit(cache=True)
-def combine(weights, states, covariances, mean, covariance):
-    """Moment match of B Gaussians: ``mean`` (15,), ``covariance`` (15,15) with the spread of the means in it."""
+def mixture_mean(weights, states, mean):
+    """Weighted ``mean`` (15,) of ``states`` (B,15), whose angles are first moved within pi of the likeliest branch's."""
     best = np.argmax(weights)
     for i in range(N_STATES):
         mean[i] = states[best, i]
     for j in range(weights.shape[0]):
-        if j != best and weights[j] > 0.0:
+        if j != best:
+            for i in range(6, 9):
+                states[j, i] = states[best, i] + wrap(states[j, i] - states[best, i])
             for i in range(N_STATES):
-                difference = states[j, i] - states[best, i]
-                mean[i] += weights[j] * (wrap(difference) if 6 <= i < 9 else difference)
+                mean[i] += weights[j] * (states[j, i] - states[best, i])
+
+
+@njit(cache=True)
+def combine(weights, states, covariances, mean, covariance):
+    """Moment match of B Gaussians: ``mean`` (15,), ``covariance`` (15,15) with the spread of the means in it."""
+    mixture_mean(weights, states, mean)
     for a in range(N_STATES):
         for b in range(N_STATES):
             covariance[a, b] = 0.0
@@ -66,13 +73,25 @@ def combine(weights, states, covariances, mean, covariance):
         w = weights[j]
         if w > 0.0:
             for a in range(N_STATES):
-                difference = states[j, a] - mean[a]
-                spread = w * (wrap(difference) if 6 <= a < 9 else difference)
+                spread = w * (states[j, a] - mean[a])
                 for b in range(N_STATES):
-                    other = states[j, b] - mean[b]
-                    if 6 <= b < 9:
-                        other = wrap(other)
-                    covariance[a, b] += w * covariances[j, a, b] + spread * other
+                    covariance[a, b] += w * covariances[j, a, b] + spread * (states[j, b] - mean[b])
+    for i in range(6, 9):
+        mean[i] = wrap(mean[i])
+
+
+@njit(cache=True)
+def combine_stored(weights, states, covariances, mean, covariance):
+    """`combine` for what a row of output takes: the diagonal and the attitude block of ``covariance``."""
+    mixture_mean(weights, states, mean)
+    for a in range(N_STATES):
+        last = 9 if 6 <= a < 9 else a + 1
+        for b in range(a, last):
+            total = 0.0
+            for j in range(weights.shape[0]):
+                spread = (states[j, a] - mean[a]) * (states[j, b] - mean[b])
+                total += weights[j] * (covariances[j, a, b] + spread)
+            covariance[a, b] = total
     for i in range(6, 9):
         mean[i] = wrap(mean[i])
 
@@ -226,13 +245,13 @@ def filter_log(
             log_probabilities(predicted, likelihood, probability)
             figures[g, 0] = probability
             mix(probability, transition, xs, ps, predicted, weights, mixed_xs, mixed_ps)
-            combine(predicted, xs, ps, x, p)
+            mixture_mean(predicted, xs, x)
             hold_acceleration(x[3:6], last, now - last_fix, manoeuvre_time, held)
             last_fix = now
             g += 1
         now = t[k]
-        combine(predicted, xs, ps, x, p)
+        combine_stored(predicted, xs, ps, x, p)
         store(k, x, p, states, variances)
         if (k + 1) % every == 0:
-            snapshots[(k + 1) // every - 1] = p
+            combine(predicted, xs, ps, x, snapshots[(k + 1) // every - 1])
     return g

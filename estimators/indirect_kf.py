@@ -6,6 +6,7 @@ from the specification and the initial state that the log carries, R from the re
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -36,17 +37,18 @@ MINIMUM_STD = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
 class IndirectKf:
     """Error-state filter with position and velocity fixes.
 
-    Scales multiply a standard deviation (or root spectral density) of the specification; 1 is the data sheet.
+    Scales multiply a standard deviation (or root spectral density) of the specification; 1 is the data sheet. Each is one
+    number, or three: along x, y, z of the body, or north, east, down.
     ``process_noise`` (12 root densities: accelerometer x y z, gyro x y z, accelerometer bias x y z, gyro bias x y z; SI)
     and ``measurement_noise`` (6 standard deviations: m N E D, m/s N E D) replace it altogether; the scales still apply.
     """
 
-    accel_noise_scale: float = 1.0
-    gyro_noise_scale: float = 1.0
-    accel_bias_scale: float = 1.0
-    gyro_bias_scale: float = 1.0
-    position_std_scale: float = 1.0
-    velocity_std_scale: float = 1.0
+    accel_noise_scale: float | tuple[float, ...] = 1.0
+    gyro_noise_scale: float | tuple[float, ...] = 1.0
+    accel_bias_scale: float | tuple[float, ...] = 1.0
+    gyro_bias_scale: float | tuple[float, ...] = 1.0
+    position_std_scale: float | tuple[float, ...] = 1.0
+    velocity_std_scale: float | tuple[float, ...] = 1.0
     process_noise: tuple[float, ...] | None = None
     measurement_noise: tuple[float, ...] | None = None
 
@@ -57,8 +59,8 @@ class IndirectKf:
     def __post_init__(self) -> None:
         for key in SCALES:
             value = getattr(self, key)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < np.inf:
-                raise InputError(f"{self.name}: {key} = {value!r}, must be a positive number")
+            if isinstance(value, bool) or np.shape(value) not in ((), (3,)) or not _positive(value):
+                raise InputError(f"{self.name}: {key} = {value!r}, must be a positive number or three of them")
         for key, length in (("process_noise", 12), ("measurement_noise", 6)):
             values = getattr(self, key)
             if values is not None and not (
@@ -100,20 +102,39 @@ class IndirectKf:
         """(12,) root spectral densities that the filter uses on this log."""
         scales = [self.accel_noise_scale, self.gyro_noise_scale, self.accel_bias_scale, self.gyro_bias_scale]
         base = np.sqrt(noise_model(log).q) if self.process_noise is None else np.array(self.process_noise, dtype=float)
-        return base * np.repeat(scales, 3)
+        return base * _triples(scales)
 
     def measurement_std(self, log: SensorLog) -> Array:
         """(M,6) 1-sigma of each fix that the filter uses on this log."""
         gnss = require_gnss(log, self.name)
-        scales = np.repeat([self.position_std_scale, self.velocity_std_scale], 3)
+        scales = _triples([self.position_std_scale, self.velocity_std_scale])
         if self.measurement_noise is None:
             return np.maximum(gnss.measurement_std(), MINIMUM_STD) * scales
         return np.tile(np.maximum(self.measurement_noise, MINIMUM_STD) * scales, (len(gnss.t), 1))
+
+    @staticmethod
+    def searcher(log: SensorLog, reference: Trajectory, stride: int = 10) -> Callable[[IndirectKf], tuple[Array, float]]:
+        """For tuners: what one log gives with many settings, see `estimators.indirect_search.searcher`."""
+        from estimators.indirect_search import searcher
+
+        return searcher(log, reference, stride)
 
     def model(self, log: SensorLog) -> tuple[Array, Array, Array, Array, Array]:
         """Start vector, P0, Q, bias decay and bias mean: the model arguments of the compiled loop, in its order."""
         noise = noise_model(log)
         return start_vector(log), noise.covariance, self.process_std(log) ** 2, noise.decay, noise.bias_mean
+
+
+def _positive(value: object) -> bool:
+    try:
+        return bool(np.all(np.isfinite(value)) and np.all(np.asarray(value) > 0.0))  # type: ignore[arg-type, operator]
+    except TypeError:
+        return False
+
+
+def _triples(scales: Sequence[float | tuple[float, ...]]) -> Array:
+    """One or three numbers per group to three per group, in one row."""
+    return np.concatenate([np.broadcast_to(np.asarray(scale, dtype=float), 3) for scale in scales])
 
 
 def recordings(log: SensorLog) -> tuple[float, Array, Array, Array, Array, Array, Array, Array]:

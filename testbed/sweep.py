@@ -6,18 +6,15 @@ Each point is a result folder of its own, so a sweep resumes as its points do. `
 
 from __future__ import annotations
 
-import copy
 import itertools
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from testbed.errors import InputError
 from testbed.runner import run
-from testbed.scenario import Scenario, set_key
-from testbed.schema import validate
+from testbed.scenario import Scenario
 from testbed.store import read_manifest
 
 if TYPE_CHECKING:
@@ -44,14 +41,13 @@ def sweep(
     out: str | Path,
     resume: bool = False,
     metric: str = PLOT_METRIC,
-    progress: Callable[[str], AbstractContextManager[Any]] | None = None,
+    announce: Callable[[str], None] | None = None,
     **options: Any,
 ) -> pd.DataFrame:
     """Run every combination of ``grid`` (dotted scenario key -> values) and write ``sweep.csv`` and ``sweep.png``.
 
     ``load`` makes the scenario of a point from its overrides, for example ``lambda o: load_scenario(name, overrides=o)``.
-    ``options`` go to `testbed.runner.run`; ``progress(label)`` is a context manager that gives
-    each point's callback. All scenarios are checked before any is run.
+    ``announce`` is told each point; ``options`` go to `testbed.runner.run`. All scenarios are checked before any is run.
     """
     import pandas as pd
 
@@ -62,35 +58,20 @@ def sweep(
     scenarios = [load(point) for point in points]
     frames = []
     for number, (point, scenario) in enumerate(zip(points, scenarios, strict=True), 1):
-        label = f"{number}/{len(points)} " + ", ".join(f"{k.split('.')[-1]} {_cell(v)}" for k, v in point.items())
+        label = f"point {number} of {len(points)}: " + ", ".join(
+            f"{k.split('.')[-1]} {_cell(v)}" for k, v in point.items()
+        )
         folder = out / f"point_{number:03d}"
         known = resume and read_manifest(folder) is not None
-        with progress(label) if progress is not None else nullcontext() as tell:
-            summary = run(scenario, folder, resume=known, progress=tell, **options).summary
+        if announce is not None:
+            announce(label)
+        summary = run(scenario, folder, resume=known, **options).summary
         settings = {key: [_cell(value)] * len(summary) for key, value in point.items()}
         frames.append(pd.concat([pd.DataFrame(settings), summary], axis=1))
     table = pd.concat(frames, ignore_index=True)
     table.to_csv(out / "sweep.csv", index=False, float_format="%.10g", lineterminator="\n")
     plot(table, keys, out / "sweep.png", metric)
     return table
-
-
-def sweep_command(
-    scenario: Scenario, texts: Sequence[str], out: Path, progress: Any = None, **options: Any
-) -> pd.DataFrame:
-    """``--sweep KEY=V1,V2 ...`` on a loaded scenario. ``progress(label)`` is a context manager that gives a callback."""
-    base = scenario.to_data()
-
-    def load(point: Mapping[str, Any]) -> Scenario:
-        data = copy.deepcopy(base)
-        for key, value in point.items():
-            set_key(data, key, value, "--sweep")
-        made = validate(Scenario, data, scenario.source_path or scenario.name)
-        made._source, made._variant, made._profile = scenario.source_path, scenario.variant, scenario.profile
-        return made
-
-    grid = dict(parse_sweep(text) for text in texts)
-    return sweep(load, grid, out, progress=progress, **options)
 
 
 def _cell(value: Any) -> Any:

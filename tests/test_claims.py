@@ -14,7 +14,7 @@ from testbed.claims import verdict
 from testbed.compare import compare_all, compare_results, holm
 from testbed.errors import InputError
 from testbed.statistics import Improvement
-from testbed.sweep import parse_sweep, sweep, sweep_command
+from testbed.sweep import parse_sweep, sweep
 
 
 @pytest.fixture(autouse=True)
@@ -80,9 +80,14 @@ def test_sweep_is_one_table_and_one_plot_over_the_grid(tmp_path):
     pd.testing.assert_frame_equal(again, table)
 
 
-def test_sweep_command_refuses_a_wrong_key_before_it_runs(tmp_path):
-    with pytest.raises(InputError, match="rate_hz"):
-        sweep_command(mc.scenario([mc.GOOD]), ["flight.rate_hx=1,2"], tmp_path / "out")
+def test_sweep_checks_every_point_before_it_runs_one(tmp_path):
+    def load(point):
+        if point["sigma"] < 0:
+            raise InputError("sigma must not be negative")
+        return mc.scenario([mc.GOOD])
+
+    with pytest.raises(InputError, match="negative"):
+        sweep(load, {"sigma": [1.0, -1.0]}, tmp_path / "out", jobs=1, plugins=[mc.PLUGIN])
     assert not (tmp_path / "out").exists()
 
 

@@ -279,6 +279,15 @@ def test_refinement_pays_less_for_false_alarms_than_strong_tracking() -> None:
     assert mean["strict"] == pytest.approx(mean["ekf"], rel=1e-9)
 
 
+def test_fading_stops_where_nothing_is_known_any_more() -> None:
+    # Yaw is unobservable in straight flight: 400 fixes that fade by 1.3 each would take its sigma to 1e20 degrees.
+    truth = phased_flight((("cv", 80.0, 0.0, 0.0),))
+    raw = sensor_log(truth, 0, gnss_rate=5.0, position_sigma=3.0, velocity_sigma=0.1, std=(3.0, 0.1, 0.01))
+    solution = Stekf().run(with_biases(raw, accel=0.1, gyro=1e-3))
+    assert np.isfinite(solution.std).all()
+    assert np.degrees(solution.std[:, 8].max()) < 1000.0
+
+
 def test_bad_parameters_and_logs_are_refused(log: SensorLog) -> None:
     with pytest.raises(InputError, match="significance"):
         Rstekf(significance=1.5)

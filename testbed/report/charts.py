@@ -17,10 +17,20 @@ from testbed.report import geometry
 from testbed.report.headline import Headline
 from testbed.report.labels import DASHES, GROUPS, component_label, metric_label, quantity_label, unit
 from testbed.report.results import Result, thin
+from testbed.report.traces import (
+    Figure,
+    Phases,
+    Spans,
+    category_rows,
+    dash_of,
+    panel_axis,
+    stacked_panels,
+    tag,
+    trace_band,
+    trace_line,
+    trace_space,
+)
 
-Figure = dict[str, Any]
-Spans = Sequence[tuple[float, float]]
-Phases = Sequence[tuple[str, float, float]]
 POINTS = 900  # per line
 INK = -1
 
@@ -36,17 +46,21 @@ def ground_track(
         inside = truth["time_s"].between(a, b).to_numpy()
         meta = {"colour": "outage", "shown": k == 0}
         look = {"width": 11}
-        traces.append(_line(east[inside], north[inside], "no GNSS", meta, line=look, hoverinfo="skip"))
+        traces.append(trace_line(east[inside], north[inside], "no GNSS", meta, line=look, hoverinfo="skip"))
     for label, frame in estimates.items():
         e, n, _ = geometry.local(thin(frame, POINTS), truth)
-        traces.append(_line(e, n, label, _meta(label, colours), line={"dash": _dash(colours[label]), "width": 1.6}))
+        traces.append(
+            trace_line(e, n, label, tag(label, colours), line={"dash": dash_of(colours[label]), "width": 1.6})
+        )
     where = np.column_stack([truth["lat_deg"], truth["lon_deg"], truth["alt_m"], truth["time_s"]]).round(6).tolist()
     hover = "%{customdata[0]:.5f}°, %{customdata[1]:.5f}°<br>%{customdata[2]:.0f} m, %{customdata[3]:.1f} s<extra>truth</extra>"
     traces.append(
-        _line(east, north, "truth", {"colour": INK}, line={"width": 1.4}, customdata=where, hovertemplate=hover)
+        trace_line(east, north, "truth", {"colour": INK}, line={"width": 1.4}, customdata=where, hovertemplate=hover)
     )
     start = {"size": 9, "symbol": "circle"}
-    traces.append(_line(east[:1], north[:1], "start", {"colour": INK}, mode="markers", marker=start, hoverinfo="skip"))
+    traces.append(
+        trace_line(east[:1], north[:1], "start", {"colour": INK}, mode="markers", marker=start, hoverinfo="skip")
+    )
     (x0, x1), (y0, y1) = geometry.map_limits(east, north)
     layout = {"height": 520, "dragmode": "pan", "showlegend": True}
     layout |= {"xaxis": {"title": {"text": "East, m"}, "range": [x0, x1], "constrain": "domain"}}
@@ -66,12 +80,12 @@ def path_3d(
     for label, frame in estimates.items():
         e, n, u = geometry.local(thin(frame, 500), truth)
         e = np.where((e < x0) | (e > x1) | (n < y0) | (n > y1) | (u < z0) | (u > z1), np.nan, e)
-        traces.append(_space(e, n, u, label, _meta(label, colours), 3))
+        traces.append(trace_space(e, n, u, label, tag(label, colours), 3))
     for k, (a, b) in enumerate(outages):
         inside = truth["time_s"].between(a, b).to_numpy()
         meta = {"colour": "outage", "shown": k == 0}
-        traces.append(_space(east[inside], north[inside], up[inside], "no GNSS", meta, 10))
-    traces.append(_space(east, north, up, "truth", {"colour": INK}, 4))
+        traces.append(trace_space(east[inside], north[inside], up[inside], "no GNSS", meta, 10))
+    traces.append(trace_space(east, north, up, "truth", {"colour": INK}, 4))
     span = max(x1 - x0, y1 - y0)
     shape = {"x": (x1 - x0) / span, "y": (y1 - y0) / span, "z": max(0.3, (z1 - z0) / span)}
     scene = {
@@ -102,13 +116,15 @@ def error_traces(
     for label, frame in errors.items():
         lines, coarse = thin(frame, POINTS), thin(frame, 300)
         for row, quantity in enumerate(quantities):
-            axis = _axis(row)
+            axis = panel_axis(row)
             if f"sigma_{quantity}" in frame and coarse[f"sigma_{quantity}"].notna().any():
                 s = 3.0 * coarse[f"sigma_{quantity}"].to_numpy()
-                traces.append(_band(coarse["time_s"], -s, s, f"±3σ {label}", _meta(label, colours, band=label), axis))
-            dash = {"dash": _dash(colours[label]), "width": 1.3}
-            traces.append(_line(lines["time_s"], lines[quantity], label, _meta(label, colours), axis, line=dash))
-    return {"data": traces, "layout": _stacked(quantities, outages, phases, _ranges(errors, quantities))}
+                traces.append(
+                    trace_band(coarse["time_s"], -s, s, f"±3σ {label}", tag(label, colours, band=label), axis)
+                )
+            dash = {"dash": dash_of(colours[label]), "width": 1.3}
+            traces.append(trace_line(lines["time_s"], lines[quantity], label, tag(label, colours), axis, line=dash))
+    return {"data": traces, "layout": stacked_panels(quantities, outages, phases, _ranges(errors, quantities))}
 
 
 def envelopes(
@@ -118,22 +134,22 @@ def envelopes(
     traces = []
     for label, by_label in table.groupby("estimator", sort=False):
         for row, quantity in enumerate(quantities):
-            group, axis = thin(by_label[by_label["quantity"] == quantity], 300), _axis(row)
+            group, axis = thin(by_label[by_label["quantity"] == quantity], 300), panel_axis(row)
             if group.empty:
                 continue
-            t, meta = group["time_s"], _meta(str(label), colours)
+            t, meta = group["time_s"], tag(str(label), colours)
             if group["sigma"].notna().any():
                 s = 1.645 * group["sigma"]
-                traces.append(_band(t, -s, s, f"±1.645σ {label}", meta | {"band": label}, axis))
+                traces.append(trace_band(t, -s, s, f"±1.645σ {label}", meta | {"band": label}, axis))
             for column, name, dash in (("p05", "5 %", "solid"), ("p95", "95 %", "solid"), ("mean", "mean", "dot")):
                 traces.append(
-                    _line(t, group[column], f"{label}, {name}", meta, axis, line={"width": 1.3, "dash": dash})
+                    trace_line(t, group[column], f"{label}, {name}", meta, axis, line={"width": 1.3, "dash": dash})
                 )
     ranges = _ranges(
         {str(e): f.pivot(index="time_s", columns="quantity", values="rms") for e, f in table.groupby("estimator")},
         quantities,
     )
-    return {"data": traces, "layout": _stacked(quantities, outages, phases, ranges)}
+    return {"data": traces, "layout": stacked_panels(quantities, outages, phases, ranges)}
 
 
 def spread(per_run: pd.DataFrame, metric: str, estimators: Sequence[str], colours: Mapping[str, int]) -> Figure:
@@ -147,26 +163,26 @@ def spread(per_run: pd.DataFrame, metric: str, estimators: Sequence[str], colour
         ticks.append(label)
         if not len(values):
             continue
-        y, meta = len(estimators) - 1 - k, _meta(label, colours)
+        y, meta = len(estimators) - 1 - k, tag(label, colours)
         p5, q1, median, q3, p95 = np.percentile(values, [5, 25, 50, 75, 95])
         hover = f"{label}<br>median {median:.3g}, quartiles {q1:.3g} to {q3:.3g}<br>5 to 95 %: {p5:.3g} to {p95:.3g}<extra></extra>"
         corners = ([q1, q3, q3, q1, q1], [y - 0.3, y - 0.3, y + 0.3, y + 0.3, y - 0.3])
-        box = {"fill": "toself", "hovertemplate": hover, "line": {"width": 1.3}}
-        traces.append(_line(*corners, label, meta | {"fill": 0.28}, **box))
-        traces.append(_line([median] * 2, [y - 0.3, y + 0.3], label, meta, line={"width": 3}, hovertemplate=hover))
+        box: Figure = {"fill": "toself", "hovertemplate": hover, "line": {"width": 1.3}}
+        traces.append(trace_line(*corners, label, meta | {"fill": 0.28}, **box))
+        traces.append(trace_line([median] * 2, [y - 0.3, y + 0.3], label, meta, line={"width": 3}, hovertemplate=hover))
         for end, edge in ((p5, q1), (p95, q3)):
-            traces.append(_line([edge, end], [y, y], label, meta, line={"width": 1.3}, hoverinfo="skip"))
+            traces.append(trace_line([edge, end], [y, y], label, meta, line={"width": 1.3}, hoverinfo="skip"))
         shown = chosen.head(400)
         height = y + shake.uniform(-0.18, 0.18, len(shown))
-        dots = {"mode": "markers", "marker": {"size": 4, "opacity": 0.55}, "customdata": shown["run"].tolist()}
+        dots: Figure = {"mode": "markers", "marker": {"size": 4, "opacity": 0.55}, "customdata": shown["run"].tolist()}
         traces.append(
-            _line(
+            trace_line(
                 shown["value"], height, label, meta, hovertemplate="run %{customdata}: %{x:.4g}<extra></extra>", **dots
             )
         )
     logarithmic = len(everything) > 0 and everything.min() > 0 and everything.max() > 30 * everything.min()
     x = {"title": {"text": f"{metric_label(metric)}, {unit(metric)}"}, "type": "log" if logarithmic else "linear"}
-    return {"data": traces, "layout": _categories(ticks, x)}
+    return {"data": traces, "layout": category_rows(ticks, x)}
 
 
 def consistency(table: pd.DataFrame, estimators: Sequence[str], colours: Mapping[str, int]) -> Figure:
@@ -180,7 +196,9 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str], colours: Mapping
         low, high = group["lower"].iloc[0] / dof, group["upper"].iloc[0] / dof
         corners = ([low, high, high, low, low], [y - 0.42, y - 0.42, y + 0.42, y + 0.42, y - 0.42])
         traces.append(
-            _line(*corners, "95 % bounds", {"colour": "outage"}, fill="toself", line={"width": 0}, hoverinfo="skip")
+            trace_line(
+                *corners, "95 % bounds", {"colour": "outage"}, fill="toself", line={"width": 0}, hoverinfo="skip"
+            )
         )
         for k, label in enumerate(estimators):
             if label not in group.index:
@@ -188,10 +206,10 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str], colours: Mapping
             value = float(group.loc[label, "mean"])
             height = y - (k - (len(estimators) - 1) / 2) * step
             hover = f"{label}: {quantity_label(quantity)} {value:.3g}, expected {dof:.3g}<extra></extra>"
-            point = {"mode": "markers", "marker": {"size": 9, "symbol": k % 8}, "hovertemplate": hover}
-            traces.append(_line([value / dof], [height], label, _meta(label, colours), **point))
+            point: Figure = {"mode": "markers", "marker": {"size": 9, "symbol": k % 8}, "hovertemplate": hover}
+            traces.append(trace_line([value / dof], [height], label, tag(label, colours), **point))
     x = {"title": {"text": "mean divided by its expected value (1 = consistent)"}, "type": "log"}
-    layout = _categories([quantity_label(q) for q in quantities], x, 46 + 9 * len(estimators))
+    layout = category_rows([quantity_label(q) for q in quantities], x, 46 + 9 * len(estimators))
     line = {"type": "line", "x0": 1, "x1": 1, "y0": 0, "y1": 1, "yref": "paper", "line": {"width": 1}}
     return {"data": traces, "layout": layout | {"shapes": [line]}}
 
@@ -206,38 +224,38 @@ def timings(table: pd.DataFrame, estimators: Sequence[str], colours: Mapping[str
         if label in rows.index:
             y, value = len(estimators) - 1 - k, float(rows[label])
             hover = f"{label}: {value:.3g} µs per sample<extra></extra>"
-            bar = {"line": {"width": 12}, "hovertemplate": hover}
-            traces.append(_line([start, value], [y, y], label, _meta(label, colours), **bar))
+            bar: Figure = {"line": {"width": 12}, "hovertemplate": hover}
+            traces.append(trace_line([start, value], [y, y], label, tag(label, colours), **bar))
     x: Figure = {"title": {"text": "time per IMU sample, µs"}, "type": "log" if logarithmic else "linear"}
-    return {"data": traces, "layout": _categories(list(estimators), x, 34)}
+    return {"data": traces, "layout": category_rows(list(estimators), x, 34)}
 
 
 def innovations(
     frame: pd.DataFrame, label: str, colours: Mapping[str, int], names: Sequence[str], spans: Spans, phases: Phases
 ) -> Figure:
     """Innovations with their ±2 sqrt(S) band over time, and their histogram, one row per measurement channel."""
-    channels = [c.removeprefix("nu_") for c in frame if c.startswith("nu_")][:9]
+    channels = [str(c).removeprefix("nu_") for c in frame if str(c).startswith("nu_")][:9]
     frame = _open_gaps(thin(frame, 700))
     traces = []
     for row, channel in enumerate(channels):
         nu, s, meta = frame[f"nu_{channel}"].to_numpy(), frame[f"s_{channel}"].to_numpy(), {"colour": colours[label]}
-        axis = _axis(row)
-        traces.append(_band(frame["time_s"], -2 * s, 2 * s, "±2√S", meta, axis))
-        dots = {"mode": "markers", "marker": {"size": 3}}
-        traces.append(_line(frame["time_s"], nu, names[row], meta, axis, **dots))
+        axis = panel_axis(row)
+        traces.append(trace_band(frame["time_s"], -2 * s, 2 * s, "±2√S", meta, axis))
+        dots: Figure = {"mode": "markers", "marker": {"size": 3}}
+        traces.append(trace_line(frame["time_s"], nu, names[row], meta, axis, **dots))
         if np.isfinite(nu).any():
             counts, edges = np.histogram(nu[np.isfinite(nu)], bins=25)
             side = {"xaxis": f"x{20 + row}", "yaxis": axis["yaxis"]}
-            steps = {"fill": "tozerox", "line": {"shape": "vh", "width": 1}, "hoverinfo": "skip"}
+            steps: Figure = {"fill": "tozerox", "line": {"shape": "vh", "width": 1}, "hoverinfo": "skip"}
             traces.append(
-                _line(counts, (edges[1:] + edges[:-1]) / 2, "histogram", meta | {"fill": 0.28}, side, **steps)
+                trace_line(counts, (edges[1:] + edges[:-1]) / 2, "histogram", meta | {"fill": 0.28}, side, **steps)
             )
-    layout = _stacked(list(names[: len(channels)]), spans, phases, [None] * len(channels), height=105)
+    layout = stacked_panels(list(names[: len(channels)]), spans, phases, [None] * len(channels), height=105)
     layout["xaxis"] |= {"domain": [0, 0.82], "range": [float(frame["time_s"].min()), float(frame["time_s"].max())]}
     for row in range(len(channels)):
         layout[f"xaxis{20 + row}"] = {
             "domain": [0.85, 1],
-            "anchor": _axis(row)["yaxis"],
+            "anchor": panel_axis(row)["yaxis"],
             "showticklabels": False,
             "showgrid": False,
         }
@@ -255,8 +273,8 @@ def extras(frame: pd.DataFrame, outages: Spans, phases: Phases, components: Mapp
             alone = (frame.loc[frame["name"] == name, "component"] == component).all()
             meta = {"colour": k, "shown": label not in shown and not alone}
             shown.add(label)
-            traces.append(_line(group["time_s"], group["value"], label, meta, _axis(row), line=look))
-    layout = _stacked([n.replace("_", " ") for n in names], outages, phases, [None] * len(names), height=210)
+            traces.append(trace_line(group["time_s"], group["value"], label, meta, panel_axis(row), line=look))
+    layout = stacked_panels([n.replace("_", " ") for n in names], outages, phases, [None] * len(names), height=210)
     return {"data": traces, "layout": layout | {"showlegend": True}}
 
 
@@ -316,91 +334,12 @@ def _open_gaps(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _channel_names(result: Result, label: str, frame: pd.DataFrame) -> list[str]:
-    """From info.json's ``innovations`` (label -> names); six channels without names are the GNSS position and velocity."""
-    count = sum(c.startswith("nu_") for c in frame)
+    """From info.json's ``innovations`` (label -> names); else numbered."""
+    count = sum(str(c).startswith("nu_") for c in frame)
     given = result.info.get("innovations", {}).get(label)
     if given and len(given) >= count:
         return [str(name) for name in given]
     return [f"channel {k + 1}" for k in range(count)]
-
-
-def _meta(label: str, colours: Mapping[str, int], band: str = "") -> dict[str, Any]:
-    meta: dict[str, Any] = {"estimator": label, "colour": colours.get(label, 0)}
-    return meta | {"band": band} if band else meta
-
-
-def _line(
-    x: Any, y: Any, name: str, meta: Mapping[str, Any], axis: Mapping[str, str] | None = None, **more: Any
-) -> Figure:
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": _plain(x),
-        "y": _plain(y),
-        "name": name,
-        "meta": meta,
-        **(axis or {}),
-        **more,
-    }
-
-
-def _space(x: Any, y: Any, z: Any, name: str, meta: Mapping[str, Any], width: float) -> Figure:
-    return {"type": "scatter3d", "mode": "lines", "x": _plain(x), "y": _plain(y), "z": _plain(z)} | {
-        "name": name,
-        "meta": meta,
-        "line": {"width": width},
-        "hoverinfo": "x+y+z+name",
-    }
-
-
-def _band(t: Any, low: Any, high: Any, name: str, meta: Mapping[str, Any], axis: Mapping[str, str]) -> Figure:
-    """A filled polygon between two lines, one per stretch without missing values."""
-    t, low, high = (np.asarray(v, dtype=float) for v in (t, low, high))
-    known = np.isfinite(low) & np.isfinite(high)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
-    x, y = [], []
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
-        x += [t[start:end], t[start:end][::-1], [np.nan]]
-        y += [low[start:end], high[start:end][::-1], [np.nan]]
-    outline = np.concatenate(x or [[]]), np.concatenate(y or [[]])
-    return _line(
-        *outline, name, {**meta, "fill": 0.16, "edge": True}, axis, fill="toself", hoverinfo="skip", line={"width": 0}
-    )
-
-
-def _stacked(names: Sequence[str], outages: Spans, phases: Phases, ranges: Sequence[Any], height: int = 170) -> Figure:
-    """Panels over one time axis; outages and phases are shaded behind them (the page colours the shapes)."""
-    count, gap = len(names), 0.035
-    tall = (1 + gap) / count
-    layout: Figure = {"height": 75 + height * count, "hovermode": "x unified" if count < 4 else "closest"}
-    layout["xaxis"] = {"title": {"text": "Time, s"}, "anchor": _axis(count - 1)["yaxis"]}
-    for row, name in enumerate(names):
-        top = 1 - row * tall
-        text = f"{quantity_label(name)}, {unit(name)}" if unit(name) else quantity_label(name)
-        y = {"domain": [max(0.0, top - tall + gap), top], "title": {"text": text, "standoff": 4}, "anchor": "x"}
-        layout["yaxis" + _axis(row)["yaxis"][1:]] = y | ({"range": ranges[row]} if ranges[row] else {})
-    whole = {"type": "rect", "yref": "paper", "y0": 0, "y1": 1, "layer": "below", "line": {"width": 0}}
-    layout["shapes"] = [whole | {"x0": a, "x1": b, "name": "phase"} for _, a, b in list(phases)[1::2]]
-    layout["shapes"] += [whole | {"x0": a, "x1": b, "name": "outage"} for a, b in outages]
-    span = phases[-1][2] - phases[0][1] if phases else 1.0
-    words = {"yref": "paper", "y": 1, "yanchor": "bottom", "showarrow": False}
-    layout["annotations"] = [
-        words | {"x": (a + b) / 2, "text": name.replace("_", " "), "hovertext": f"{name}, {a:g} to {b:g} s"}
-        for name, a, b in phases
-        if (b - a) / span > 0.012 * len(name)
-    ]
-    return layout
-
-
-def _categories(names: Sequence[str], x: Figure, row_height: int = 62) -> Figure:
-    count = len(names)
-    y = {
-        "tickvals": list(range(count)),
-        "ticktext": list(reversed(names)),
-        "range": [-0.6, count - 0.4],
-        "zeroline": False,
-    }
-    return {"height": 90 + row_height * count, "hovermode": "closest", "xaxis": x, "yaxis": y | {"automargin": True}}
 
 
 def _ranges(errors: Mapping[str, pd.DataFrame], quantities: Sequence[str]) -> list[list[float] | None]:
@@ -414,20 +353,3 @@ def _ranges(errors: Mapping[str, pd.DataFrame], quantities: Sequence[str]) -> li
         good = max(s for s in sizes if s <= 10 * sizes[0])
         found.append([-2.0 * good, 2.0 * good])
     return found
-
-
-def _axis(row: int) -> dict[str, str]:
-    return {"xaxis": "x", "yaxis": f"y{row + 1}" if row else "y"}
-
-
-def _dash(index: int) -> str:
-    return DASHES[index // 8 % len(DASHES)] if index >= 8 else "solid"
-
-
-def _plain(values: Any) -> list[float | None]:
-    """Four significant figures (more where a large offset needs it); null for what is not finite."""
-    x = np.asarray(values, dtype=float)
-    finite = np.isfinite(x)
-    size = np.max(np.abs(x[finite])) if finite.any() else 1.0
-    decimals = 0 if size == 0 else int(np.clip(4 - np.floor(np.log10(size)), 0, 12))
-    return [float(v) if ok else None for v, ok in zip(np.round(x, decimals), finite, strict=True)]

@@ -26,7 +26,7 @@ WIDTH = 6.3  # inches: the text width of an A4 page
 POINTS = 700  # per line: about one per pixel of the printed width
 MOST_EXTRAS = 3
 DASHES = ["-", "--", ":", "-.", (0, (6, 1.5)), (0, (4, 1, 1, 1, 1, 1))]
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "font.size": 8,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -102,7 +102,7 @@ def error_traces(
             if label == band and f"sigma_{quantity}" in frame:
                 s = 3.0 * frame[f"sigma_{quantity}"].to_numpy()
                 ax.fill_between(t, -s, s, color=COLOURS[k % len(COLOURS)][0], alpha=0.18, lw=0, label=f"±3σ of {label}")
-            style = {"color": COLOURS[k % len(COLOURS)][0], "ls": DASHES[k % len(DASHES)], "lw": 0.8}
+            style: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)][0], "ls": DASHES[k % len(DASHES)], "lw": 0.8}
             ax.plot(t, frame[quantity].to_numpy(), label=label, **style)
     for ax, quantity in zip(axes, quantities, strict=True):
         ax.set_ylabel(f"{quantity_label(quantity)}, {unit(quantity)}")
@@ -329,7 +329,7 @@ def _shade(axes: Sequence[Axes], outages: Spans, phases: Phases) -> None:
     span = phases[-1][2] - phases[0][1] if phases else 1.0
     for name, start, end in phases:
         if (end - start) / span > 0.017 * len(name):
-            where = {"ha": "center", "va": "bottom", "fontsize": 6, "color": "#666666"}
+            where: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 6, "color": "#666666"}
             axes[0].text(
                 (start + end) / 2, 1.01, name.replace("_", " "), transform=axes[0].get_xaxis_transform(), **where
             )

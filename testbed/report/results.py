@@ -70,7 +70,7 @@ class Result:
     def means(self) -> dict[tuple[str, str, str], dict[str, float]]:
         """(window, metric, estimator) -> mean, median, ci_low, ci_high."""
         keys = zip(*(self.summary[c] for c in ("window", "metric", "estimator")), strict=True)
-        values = self.summary[["mean", "median", "ci_low", "ci_high"]].astype(float).to_dict("records")
+        values: Any = self.summary[["mean", "median", "ci_low", "ci_high"]].astype(float).to_dict("records")
         return dict(zip(keys, values, strict=True))
 
     @property
@@ -123,7 +123,7 @@ def load_result(folder: str | Path) -> Result:
                 f"{folder}: no result folder ('{needed}' is missing); `testbed run SCENARIO --out DIR` makes one"
             )
     try:
-        tables = {k: _read(folder / f"{k}.csv", names) for k, names in CSV_COLUMNS.items()}
+        tables: dict[str, Any] = {k: _read(folder / f"{k}.csv", names) for k, names in CSV_COLUMNS.items()}
         tables |= {k: _read(folder / f"{k}.parquet", names) for k, names in PARQUET_COLUMNS.items()}
         timed = tables.pop("claims-timings")
         tables["claims"] = pd.concat([tables["claims"], timed], ignore_index=True) if len(timed) else tables["claims"]

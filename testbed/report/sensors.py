@@ -87,7 +87,7 @@ def sensor_tables(result: Result) -> list[Table]:
 def _triads(gyro: Mapping[str, Any], accel: Mapping[str, Any]) -> list[tuple[str, list[Cell]]]:
     rows = []
     for key, (name, of_gyro, of_accel) in TRIAD.items():
-        texts = _text(gyro, key, *of_gyro), _text(accel, key, *of_accel)
+        texts: tuple[str, ...] = _text(gyro, key, *of_gyro), _text(accel, key, *of_accel)
         if key == "correlation_time_s":
             texts = tuple(t if s.get("bias_instability") else "" for t, s in zip(texts, (gyro, accel), strict=True))
         if any(texts):
@@ -98,7 +98,7 @@ def _triads(gyro: Mapping[str, Any], accel: Mapping[str, Any]) -> list[tuple[str
 def _text(spec: Mapping[str, Any], key: str, factor: float, unit: str) -> str:
     """The figure with its unit; empty when it is zero, absent or without limit."""
     value = spec.get(key)
-    values = list(value) if isinstance(value, (list, tuple)) else [value]
+    values: list[Any] = list(value) if isinstance(value, (list, tuple)) else [value]
     if any(v is None or not math.isfinite(v) for v in values) or not any(values):
         return ""
     return f"{', '.join(number(factor * v) for v in values)} {unit}".strip()

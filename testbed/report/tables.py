@@ -239,7 +239,10 @@ def failures(result: Result) -> Table | None:
     )
     counts = words.groupby([bad["estimator"], words], sort=False).size()
     most = counts.groupby(level=0, sort=False).head(REASONS)
-    rows = [(str(e), [Cell(str(what)), Cell(str(n), float(n))]) for (e, what), n in most.items()]
+    rows = [
+        (str(e), [Cell(str(what)), Cell(str(n), float(n))])
+        for (e, what), n in zip(most.index.to_list(), most, strict=True)
+    ]
     columns = [Column("What happened", numeric=False), Column("Runs")]
     more = len(counts) - len(most)
     note = f"Of {result.run_count} runs. A lost run is left out of that estimator's means."
