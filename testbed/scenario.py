@@ -259,7 +259,7 @@ def load_scenario(
             continue
         if chosen not in overlays[kind]:
             raise InputError(f"{path}: no [{kind}.{chosen}]; {nearest(chosen, overlays[kind])}")
-        data = merge(data, overlays[kind][chosen])
+        data = _overlay(data, overlays[kind][chosen])
     for key, value in (overrides or {}).items():
         set_key(data, key, value, str(path))
     _inline_parameter_files(data, path)
@@ -269,6 +269,13 @@ def load_scenario(
     scenario._source, scenario._variant, scenario._profile = str(path.resolve()), variant, profile
     _check_estimators(scenario)
     return scenario
+
+
+def _overlay(data: dict[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
+    """`merge`; an overlay with ``[recording]`` takes the place of the flight and its sensors."""
+    if "recording" in overlay and "flight" in data:
+        data = {key: value for key, value in data.items() if key not in ("flight", "sensors")}
+    return merge(data, overlay)
 
 
 def _inline_parameter_files(data: dict[str, Any], path: Path) -> None:

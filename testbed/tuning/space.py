@@ -6,7 +6,7 @@ With ``squared`` the coordinate and its limits are those of the parameter's squa
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -21,8 +21,9 @@ from testbed.tuning.search import Bounds
 
 
 class AxisConfig(Table):
-    """``[extra.tune.space]``: one parameter; what is left out comes from the estimator's ``parameter_space``."""
+    """``[[extra.tune.space]]``: one parameter; what is left out comes from the estimator's ``parameter_space``."""
 
+    name: str
     size: int | None = Field(default=None, ge=1)
     low: float | None = None
     high: float | None = None
@@ -91,37 +92,38 @@ class Space:
         return np.concatenate([axis.to_coordinate(params[axis.name]) for axis in self.axes])
 
 
-def make_space(estimator: str, table: Mapping[str, AxisConfig], source: str = "") -> Space:
-    """The space of an estimator: what ``table`` says over what the class declares as ``parameter_space``.
+def make_space(estimator: str, configs: Sequence[AxisConfig], source: str = "") -> Space:
+    """The space of an estimator: what ``configs`` say over what the class declares as ``parameter_space``.
 
-    An empty table takes all that the class declares. Raises InputError where limits are missing or make no sense.
+    Without any it takes all that the class declares. Raises InputError where limits are missing or make no sense.
     """
     kind = estimator_class(estimator)
     declared: Mapping[str, tuple[float, float, str]] = getattr(kind, "parameter_space", {})
-    names = list(table) or list(declared)
-    if not names:
-        raise InputError(f"{source}: estimator '{estimator}' declares no parameter_space; name the parameters in [extra.tune.space]")
+    chosen = list(configs) or [AxisConfig(name=name) for name in declared]
+    if not chosen:
+        raise InputError(f"{source}: estimator '{estimator}' declares no parameter_space; name the parameters in [[extra.tune.space]]")
     known = parameter_names(kind)
     axes = []
-    for name in names:
-        if known is not None and name not in known:
-            raise InputError(f"{source}: [extra.tune.space]: estimator '{estimator}' has no parameter '{name}'; {nearest(name, known)}")
-        axes.append(_axis(name, table.get(name, AxisConfig()), declared.get(name), source))
+    for config in chosen:
+        if known is not None and config.name not in known:
+            hint = nearest(config.name, known)
+            raise InputError(f"{source}: [[extra.tune.space]]: estimator '{estimator}' has no parameter '{config.name}'; {hint}")
+        axes.append(_axis(config, declared.get(config.name), source))
     return Space(tuple(axes))
 
 
-def _axis(name: str, config: AxisConfig, declared: tuple[float, float, str] | None, source: str) -> Axis:
+def _axis(config: AxisConfig, declared: tuple[float, float, str] | None, source: str) -> Axis:
     low, high, scale = declared or (None, None, "linear")
     if config.squared and declared:
         low, high = declared[0] ** 2, declared[1] ** 2
     low = low if config.low is None else config.low
     high = high if config.high is None else config.high
     log = (config.axis or scale) == "log"
-    where = f"{source}: [extra.tune.space] {name}"
+    where = f"{source}: [[extra.tune.space]] {config.name}"
     if low is None or high is None:
         raise InputError(f"{where}: give low and high, as the estimator declares no limits for it")
     if not low < high:
         raise InputError(f"{where}: low = {low:g} must be below high = {high:g}")
     if (log and low <= 0.0) or (config.squared and low < 0.0):
         raise InputError(f"{where}: low = {low:g} must be {'positive on a log axis' if log else 'at least 0 with squared'}")
-    return Axis(name, config.size, low, high, log, config.squared)
+    return Axis(config.name, config.size, low, high, log, config.squared)

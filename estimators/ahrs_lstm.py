@@ -1,0 +1,148 @@
+"""`ahrs-lstm`: `ahrs-kf` with a gain that an LSTM network corrects at every sample.
+
+"AHRS with LSTM-corrected Kalman gain" (2022): 90 inputs (z 6, x 12, K 72), a linear layer, two LSTM layers of 200, a
+linear layer to the 72 elements of the gain. Here the last layer gives a residual, K + scale * output, and starts at zero:
+the untrained network is `ahrs-kf` itself. Training: `estimators.ahrs_training`; loop: `estimators.ahrs_lstm_kernels`.
+
+The paper's "activation" is read as that of the linear input layer (``sigmoid`` or ``linear``); the LSTM layers are
+ordinary ones, with logistic gates and tanh cells.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.ahrs_kf import AhrsKf, Array
+from testbed.errors import InputError
+from testbed.records import NavSolution, SensorLog
+
+Single = NDArray[np.float32]
+
+SHIPPED = Path(__file__).parent / "weights" / "ahrs-lstm.safetensors"
+UNTRAINED = "untrained"
+ACTIVATIONS = ("sigmoid", "linear")
+
+
+class Network(NamedTuple):
+    """The network as the compiled step takes it (see `ahrs_lstm_kernels`); matrices are (inputs, outputs)."""
+
+    mean: Single
+    inverse_std: Single
+    w_in: Single
+    b_in: Single
+    curved: bool
+    w_lstm: Single
+    b_lstm: Single
+    w_out: Single
+    b_out: Single
+
+
+class Weights(NamedTuple):
+    """A stored network: the arrays, the unit of each gain residual (72,), the filter that it corrects, and its history."""
+
+    network: Network
+    scale: Array
+    filter: dict[str, float]
+    metadata: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class AhrsLstm:
+    """`ahrs-kf` with a learned correction of its gain. The filter's parameters are those that the weights were made for."""
+
+    weights: str = ""
+    """A safetensors file; empty for the shipped one, ``untrained`` for a network that changes nothing."""
+    name: ClassVar[str] = "ahrs-lstm"
+
+    def run(self, log: SensorLog) -> NavSolution:
+        """Filter the log. Raises InputError without magnetometer or weights."""
+        from estimators.ahrs_lstm_kernels import filter_log_corrected
+
+        loaded = load_weights(self.weights)
+        changed: list[Array] = []
+
+        def loop(arguments: tuple[Any, ...]) -> None:
+            changed.append(np.zeros(len(arguments[-1])))
+            filter_log_corrected(*arguments, tuple(loaded.network), loaded.scale, changed[0])
+
+        solution = AhrsKf(**loaded.filter).solve(log, loop)
+        assert solution.covariance_t is not None
+        extras = dict(solution.extras) | {"gain_change": (solution.covariance_t, changed[0])}
+        return NavSolution(**(vars(solution) | {"extras": extras}))
+
+    @staticmethod
+    def train(*arguments: Any, **settings: Any) -> Path:
+        """Train on flights with truth: see `estimators.ahrs_training.train`."""
+        from estimators.ahrs_training import train
+
+        return train(*arguments, **settings)
+
+
+@lru_cache(maxsize=4)
+def load_weights(weights: str) -> Weights:
+    """Read a file of weights; "" is the shipped one. Raises InputError when it is missing or is something else."""
+    if weights == UNTRAINED:
+        return untrained_weights()
+    from safetensors import SafetensorError, safe_open
+
+    path = Path(weights) if weights else SHIPPED
+    if not path.is_file():
+        raise InputError(f"ahrs-lstm: {path}: no such file; make the weights with: testbed train ahrs-lstm-2022")
+    try:
+        with safe_open(path, framework="numpy") as file:
+            arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            metadata = {key: json.loads(value) for key, value in (file.metadata() or {}).items()}
+        return assemble(arrays, metadata)
+    except (SafetensorError, KeyError, ValueError) as error:
+        raise InputError(f"ahrs-lstm: {path}: not a file of its weights ({error})") from None
+
+
+def assemble(arrays: dict[str, Any], metadata: dict[str, Any]) -> Weights:
+    """Weights from arrays named as torch names them: ``input``, ``lstm.K``, ``head``, and ``mean``, ``std``, ``scale``."""
+    layers = sum(key.endswith("weight_ih") for key in arrays)
+    joined = [np.hstack([arrays[f"lstm.{k}.weight_ih"], arrays[f"lstm.{k}.weight_hh"]]).T for k in range(layers)]
+    biases = [arrays[f"lstm.{k}.bias_ih"] + arrays[f"lstm.{k}.bias_hh"] for k in range(layers)]
+
+    def single(values: Any) -> Single:
+        return np.ascontiguousarray(values, dtype=np.float32)
+
+    network = Network(
+        single(arrays["mean"]),
+        single(1.0 / arrays["std"]),
+        single(arrays["input.weight"].T),
+        single(arrays["input.bias"]),
+        metadata["activation"] == "sigmoid",
+        single(np.stack(joined)),
+        single(np.stack(biases)),
+        single(arrays["head.weight"].T),
+        single(arrays["head.bias"]),
+    )
+    return Weights(network, np.asarray(arrays["scale"], dtype=np.float64), metadata["filter"], metadata)
+
+
+def untrained_weights(layers: int = 2, neurons: int = 200, seed: int = 0) -> Weights:
+    """Random LSTM layers below a last layer of zeros: the gain stays the filter's own."""
+    rng, width = np.random.default_rng(seed), neurons**-0.5
+
+    def draw(*shape: int) -> Single:
+        return rng.uniform(-width, width, shape).astype(np.float32)
+
+    network = Network(
+        np.zeros(90, np.float32),
+        np.ones(90, np.float32),
+        draw(90, neurons),
+        draw(neurons),
+        True,
+        draw(layers, 2 * neurons, 4 * neurons),
+        draw(layers, 4 * neurons),
+        np.zeros((neurons, 72), np.float32),
+        np.zeros(72, np.float32),
+    )
+    return Weights(network, np.ones(72), {}, {})

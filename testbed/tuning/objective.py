@@ -1,0 +1,199 @@
+"""The objective of a search: a population of candidates in, one value for each out; sensing is done once.
+
+Metrics as `testbed.metrics` names them (m, m/s, degrees), summed over metrics and cases and averaged over runs. Candidates and
+recordings are spread over threads where the estimator releases Python's lock (a method ``searcher``), else over processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from testbed import pipeline
+from testbed.errors import InputError
+from testbed.metrics import divergence, error_series, score
+from testbed.records import Array, Innovations, SensorErrors, SensorLog, Trajectory
+from testbed.registry import estimator_class, make_estimator
+from testbed.scenario import Scenario
+from testbed.tuning.config import RMSE_METRICS, TuneConfig, case_scenario, tuned_entry
+from testbed.tuning.space import Space, make_space
+from testbed.windows import Window
+
+DEVIANCE = "innovation_deviance"
+"""Name of -2 log likelihood of the innovations per fix, up to a constant."""
+Metrics = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One flight as one case's sensors recorded it in one Monte Carlo run."""
+
+    case: str
+    run: int
+    log: SensorLog
+    trajectory: Trajectory
+    errors: SensorErrors | None
+    windows: tuple[Window, ...]
+    divergence_m: float
+
+
+def record(scenario: Scenario, config: TuneConfig, runs: Sequence[int]) -> list[Recording]:
+    """Fly and sense every case in every run."""
+    out = []
+    for case in config.cases:
+        made = case_scenario(scenario, case)
+        trajectory = None
+        for run in runs:
+            if trajectory is None or pipeline.flight_varies(made):
+                trajectory = pipeline.fly(made, run)
+            log, errors = pipeline.sense(made, trajectory, run=run)
+            windows = tuple(pipeline.windows_of(made, trajectory, log))
+            if config.window not in [w.name for w in windows]:
+                raise InputError(f"{scenario.source_path}: [extra.tune] window: no window '{config.window}' in this scenario")
+            out.append(Recording(case.name, run, log, trajectory, errors, windows, made.monte_carlo.divergence_position_m))
+    return out
+
+
+def full_score(name: str, params: Mapping[str, Any], recording: Recording, window: str = "all") -> Metrics:
+    """Every metric of an estimator on a recording, and `DEVIANCE`; empty where it failed or diverged."""
+    try:
+        solution = make_estimator(name, **params).run(recording.log)
+    except InputError:
+        raise
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+        return {}
+    if divergence(error_series(recording.trajectory, solution), recording.divergence_m):
+        return {}
+    windows = [w for w in recording.windows if w.name == window]
+    table = score(recording.trajectory, solution, windows, errors=recording.errors, gnss=recording.log.gnss)
+    out = dict(zip(table["metric"], table["value"], strict=True))
+    if solution.innovations is not None:
+        out[DEVIANCE] = deviance(solution.innovations)
+    return out
+
+
+def deviance(innovations: Innovations) -> float:
+    """Mean of log det S + nu' S^-1 nu; infinite where an S is not positive definite."""
+    used = np.isfinite(innovations.value).all(axis=1)
+    nu, s = innovations.value[used], innovations.covariance[used]
+    sign, log_det = np.linalg.slogdet(s)
+    if len(nu) == 0 or (sign <= 0).any():
+        return float("inf")
+    squared = np.einsum("ki,ki->k", nu, np.linalg.solve(s, nu[:, :, None])[:, :, 0])
+    return float(np.mean(log_det + squared))
+
+
+class Objective:
+    """Evaluates populations. Use it as a context, or `close` it: it holds threads or processes.
+
+    ``metrics`` are summed; pass ``[DEVIANCE]`` for the likelihood. ``fast`` says which path is taken.
+    """
+
+    def __init__(
+        self,
+        estimator: str,
+        fixed: Mapping[str, Any],
+        space: Space,
+        recordings: Sequence[Recording],
+        metrics: Sequence[str],
+        window: str = "all",
+        stride: int = 10,
+        penalty: float = 1e6,
+        jobs: int = 1,
+    ) -> None:
+        self.estimator, self.fixed, self.space, self.metrics = estimator, dict(fixed), space, list(metrics)
+        self.recordings, self.window, self.penalty, self.jobs = list(recordings), window, penalty, jobs
+        runs = {case: sum(r.case == case for r in recordings) for case in {r.case for r in recordings}}
+        self._weights = np.array([1.0 / runs[r.case] for r in recordings])
+        self._score, self._pool = self._path(stride)
+
+    def _path(self, stride: int) -> tuple[Callable[[tuple[Mapping[str, Any], int]], float], Executor | None]:
+        make_searcher = getattr(estimator_class(self.estimator), "searcher", None)
+        self.fast = make_searcher is not None and self.window == "all" and set(self.metrics) <= {*RMSE_METRICS, DEVIANCE}
+        if self.fast and make_searcher is not None:
+            searchers = [make_searcher(r.log, r.trajectory, stride) for r in self.recordings]
+            return self._threaded(searchers), ThreadPoolExecutor(self.jobs) if self.jobs > 1 else None
+        arguments = (self.estimator, self.metrics, self.window, self.recordings)
+        if self.jobs > 1:
+            return _score_in_worker, ProcessPoolExecutor(self.jobs, initializer=_start_worker, initargs=arguments)
+        return _Scorer(*arguments), None
+
+    def _threaded(self, searchers: list[Any]) -> Callable[[tuple[Mapping[str, Any], int]], float]:
+        rows = [RMSE_METRICS.index(m) for m in self.metrics if m != DEVIANCE]
+        likelihood = float(DEVIANCE in self.metrics)
+
+        def score_one(task: tuple[Mapping[str, Any], int]) -> float:
+            params, k = task
+            rmse, deviance_value = searchers[k](make_estimator(self.estimator, **params))
+            return float(rmse[rows].sum()) + (likelihood * deviance_value if likelihood else 0.0)
+
+        return score_one
+
+    def __call__(self, x: Array) -> Array:
+        """(n,d) points to (n,) values; the penalty where a candidate diverges on any recording."""
+        candidates = [self.fixed | self.space.decode(row) for row in np.atleast_2d(x)]
+        tasks = [(params, k) for params in candidates for k in range(len(self.recordings))]
+        found = map(self._score, tasks) if self._pool is None else self._pool.map(self._score, tasks)
+        values = np.array(list(found)).reshape(len(candidates), len(self.recordings))
+        with np.errstate(invalid="ignore"):
+            total = values @ self._weights
+        return np.where(np.isfinite(total), np.minimum(total, self.penalty), self.penalty)
+
+    def close(self) -> None:
+        """Let threads and processes go."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def __enter__(self) -> Objective:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class _Scorer:
+    """The general path: runs the estimator and scores its solution as `testbed run` does."""
+
+    def __init__(self, estimator: str, metrics: list[str], window: str, recordings: list[Recording]) -> None:
+        self.estimator, self.metrics, self.window, self.recordings = estimator, metrics, window, recordings
+
+    def __call__(self, task: tuple[Mapping[str, Any], int]) -> float:
+        params, k = task
+        found = full_score(self.estimator, params, self.recordings[k], self.window)
+        return float(sum(found.get(metric, np.inf) for metric in self.metrics))
+
+
+_worker: _Scorer | None = None
+
+
+def _start_worker(estimator: str, metrics: list[str], window: str, recordings: list[Recording]) -> None:
+    global _worker
+    _worker = _Scorer(estimator, metrics, window, recordings)
+
+
+def _score_in_worker(task: tuple[Mapping[str, Any], int]) -> float:
+    assert _worker is not None
+    return _worker(task)
+
+
+def scenario_space(scenario: Scenario, config: TuneConfig) -> Space:
+    """The space of the estimator that the scenario tunes."""
+    return make_space(tuned_entry(scenario, config).name, config.space, scenario.source_path)
+
+
+def make_objective(
+    scenario: Scenario, config: TuneConfig, recordings: Sequence[Recording], likelihood: bool = False, jobs: int = 1
+) -> Objective:
+    """The objective that ``[extra.tune]`` describes, or the likelihood of the innovations on the same recordings."""
+    entry = tuned_entry(scenario, config)
+    metrics = [DEVIANCE] if likelihood else config.metrics
+    space = scenario_space(scenario, config)
+    return Objective(
+        entry.name, entry.params, space, recordings, metrics, config.window, config.stride, config.penalty, jobs
+    )
+
+
