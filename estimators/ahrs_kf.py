@@ -44,16 +44,17 @@ class AhrsKf:
 
     The noise of the sensors comes from their specifications times the ``_scale`` parameters (1 is the data sheet).
     Linear acceleration and magnetic disturbance are first-order Gauss-Markov processes in b: sigma and correlation time.
+    The defaults are the best of a search on training flights of the scenario ahrs-lstm-2022.
     """
 
-    linear_accel_mps2: float = 3.0
-    linear_accel_time_s: float = 10.0
-    mag_disturbance_ut: float = 1.5
-    mag_disturbance_time_s: float = 1000.0
-    gyro_noise_scale: float = 1.0
-    gyro_bias_scale: float = 1.0
-    accel_noise_scale: float = 1.0
-    mag_noise_scale: float = 1.0
+    linear_accel_mps2: float = 8.1
+    linear_accel_time_s: float = 0.034
+    mag_disturbance_ut: float = 0.86
+    mag_disturbance_time_s: float = 3500.0
+    gyro_noise_scale: float = 1.1
+    gyro_bias_scale: float = 0.06
+    accel_noise_scale: float = 0.5
+    mag_noise_scale: float = 6.3
 
     name: ClassVar[str] = "ahrs-kf"
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = {

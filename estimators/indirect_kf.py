@@ -214,19 +214,27 @@ def noise_model(log: SensorLog) -> NoiseModel:
     return NoiseModel(q, np.array([accel_decay, gyro_decay]), mean, np.diag(std**2))
 
 
+MEMORY = 0.3
+"""How far back a bias estimate looks, in correlation times of the bias: tens of seconds for the units of the catalogue."""
+RANDOM_WALK_SHARE = 3.0 * (0.5 * MEMORY**2 - 1.0 + (1.0 + MEMORY) * np.exp(-MEMORY)) / MEMORY**3
+"""Least-squares slope of 1 - exp(-x) over 0 < x < MEMORY, relative to its slope at 0."""
+
+
 def triad_noise(spec: TriadSpec, bias_std: Array, dt: float) -> tuple[float, float, float, float]:
     """White noise density², bias driving density², inverse correlation time and share of the constant part, of a triad.
 
     One state per axis stands for the sum of a constant c (turn-on bias) and a Gauss-Markov process g. Its best guess far
     ahead is ``share`` times the initial estimate, ``share`` = var c / (var c + var g). Taken as Gauss-Markov about that
-    value, with the short-term growth 2 var g / tau of the sum, the state has the right variance at first and at last:
-    it is g itself without c, and a random walk where c dominates. Rounding to one bit adds bit²/12 to each sample.
+    value it is g itself without c, and a random walk where c dominates; there the driving density is the one whose growth
+    follows the structure function 2 var g (1 - exp(-t/tau)) of g best over the filter's `MEMORY`, as the growth at t = 0
+    would make the filter too cautious. A data sheet's random walk holds at the output, rounding to
+    one bit included, unless the bit is coarser than the noise.
     """
     markov = spec.gauss_markov_sigma() ** 2
     steady = spec.turn_on_bias**2 + markov
     share = spec.turn_on_bias**2 / steady if steady > 0.0 else 1.0
-    drive = 2.0 * markov / spec.correlation_time_s
+    drive = 2.0 * markov / spec.correlation_time_s * (1.0 - share * (1.0 - RANDOM_WALK_SHARE))
     final = steady * (1.0 - share**2) + share**2 * float(np.mean(bias_std**2))
     decay = drive / (2.0 * final) if final > 0.0 else 0.0
-    white = spec.white_noise**2 + spec.resolution**2 / 12.0 * dt
+    white = max(spec.white_noise**2, spec.resolution**2 / 12.0 * dt)
     return white, drive + spec.rate_random_walk**2, decay, share

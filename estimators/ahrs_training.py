@@ -1,0 +1,523 @@
+"""Training of `ahrs-lstm`: truncated back-propagation through the attitude filter, in batches of windows (torch).
+
+The filter of `ahrs_kernels` is written once more on batches that torch differentiates: the gradient runs through
+attitude, bias and disturbance states; the covariance recursion, and with it the KF's own K, is taken as given. Loss: mean
+square of the tilt error after the corrected update (roll and pitch are what is scored), plus a little of all three axes.
+SI units, µT. Flights are objects like `testbed.dataset.Shard`: ``rows``, ``window(start, rows)``, ``log()``.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from estimators.ahrs_kf import AhrsKf, prepare
+from estimators.ahrs_lstm import ACTIVATIONS, assemble
+from estimators.ahrs_lstm_kernels import CLIP, INPUTS
+from testbed.errors import InputError
+
+DEGREES = 180.0 / np.pi
+
+
+@dataclass(frozen=True)
+class Settings:
+    """``[extra.train]`` of the scenario. The paper has SGD, rate 0.1, 100 epochs, batch 50; see ``optimiser``."""
+
+    layers: int = 2
+    neurons: int = 200
+    activation: str = "sigmoid"
+    epochs: int = 10
+    batch: int = 64
+    window_s: float = 120.0
+    chunk: int = 50
+    """Samples through which the gradient runs back."""
+    optimiser: str = "adam"
+    """``adam`` or ``sgd`` (the paper's)."""
+    learning_rate: float = 2e-3
+    final_rate: float = 0.1
+    """The rate falls to this part of itself over the training, along a cosine."""
+    yaw_weight: float = 0.05
+    """Weight of the attitude error about all axes beside the tilt error."""
+    gradient_limit: float = 1.0
+    start_error_deg: float = 0.3
+    """1 sigma of what is added to the KF's attitude at the start of a window, per axis: no window is seen twice."""
+    start_bias_dps: float = 0.003
+    """The same for its gyro bias."""
+    reference_noise_deg: float = 0.0
+    """1 sigma of a constant error of the reference attitude per window, per axis (the paper's reference: 0.5)."""
+    seed: int = 0
+    threads: int = 0
+    """Of torch; 0: all cores. With 1 on a CPU a resumed training ends in the very same weights."""
+    device: str = "auto"
+
+    def __post_init__(self) -> None:
+        for key in ("layers", "neurons", "epochs", "batch", "chunk"):
+            if getattr(self, key) < 1:
+                raise InputError(f"training: {key} is {getattr(self, key)}, must be at least 1")
+        if self.activation not in ACTIVATIONS or self.optimiser not in ("adam", "sgd"):
+            raise InputError(f"training: activation must be one of {ACTIVATIONS}, optimiser adam or sgd")
+        if not (self.window_s > 0 and self.learning_rate > 0 and 0 < self.final_rate <= 1):
+            raise InputError("training: window_s and learning_rate must be positive, final_rate within (0, 1]")
+
+
+class GainNetwork(nn.Module):
+    """90 inputs to the residual of the gain, 72, in units of ``scale``; starts at zero."""
+
+    def __init__(self, settings: Settings, mean: Tensor, std: Tensor, scale: Tensor) -> None:
+        super().__init__()
+        n = settings.neurons
+        self.curved = settings.activation == "sigmoid"
+        self.input = nn.Linear(INPUTS, n)
+        self.lstm = nn.ModuleList(nn.LSTMCell(n, n) for _ in range(settings.layers))
+        self.head = nn.Linear(n, 72)
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)
+        self.mean: Tensor
+        self.std: Tensor
+        self.scale: Tensor
+        self.register_buffer("mean", mean)
+        self.register_buffer("std", std)
+        self.register_buffer("scale", scale)
+
+    def forward(self, inputs: Tensor, memory: list[tuple[Tensor, Tensor]]) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
+        """Change of the transposed gain (B,6,12), and the memory after this step."""
+        x = self.input(((inputs - self.mean) / self.std).clamp(-float(CLIP), float(CLIP)))
+        if self.curved:
+            x = torch.sigmoid(x)
+        after = []
+        for cell, (h, c) in zip(self.lstm, memory, strict=True):
+            x, c = cell(x, (h, c))
+            after.append((x, c))
+        return (self.head(x) * self.scale).view(-1, 6, 12), after
+
+    def start(self, batch: int) -> list[tuple[Tensor, Tensor]]:
+        """An empty memory."""
+        zero = self.scale.new_zeros(batch, self.head.in_features)
+        return [(zero, zero) for _ in self.lstm]
+
+
+@dataclass
+class Batch:
+    """B windows: samples (B,T,3), true C_nb (B,T,3,3), field (B,3), gravity (B,), and the KF's state where they start."""
+
+    gyro: Tensor
+    accel: Tensor
+    mag: Tensor
+    truth: Tensor
+    field_n: Tensor
+    gravity: Tensor
+    c_nb: Tensor
+    bias: Tensor
+    disturbance: Tensor
+    p: Tensor
+
+
+class BatchFilter:
+    """The filter on a batch: `step` is `ahrs_kernels.filter_log`'s loop body. ``model`` are the figures of its MODEL."""
+
+    def __init__(self, model: Sequence[float], device: torch.device, dtype: torch.dtype) -> None:
+        self.dt, (_, fa, fd) = float(model[9]), [float(v) for v in model[6:9]]
+        as_tensor = lambda values: torch.as_tensor(np.asarray(values), device=device, dtype=dtype)  # noqa: E731
+        decay = np.repeat([1.0, float(model[6]), fa, fd], 3)
+        self.decay = as_tensor(np.repeat([fa, fd], 3))
+        self.phi = as_tensor(np.diag(decay) - self.dt * np.eye(12, k=3) * (np.arange(12) < 3)[:, None])
+        self.q = as_tensor(np.diag(np.repeat([model[0] * self.dt**2, *model[1:4]], 3)))
+        self.r = as_tensor(np.diag(np.repeat(model[4:6], 3)))
+        h = np.zeros((6, 12))
+        h[:3, 6:9], h[3:, 9:] = -np.eye(3), np.eye(3)
+        self.h = as_tensor(h)
+        generators = np.zeros((3, 3, 3))
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            generators[i, k, j], generators[i, j, k] = 1.0, -1.0
+        self.generators = as_tensor(generators.reshape(3, 9))
+        self.eye = as_tensor(np.eye(3))
+
+    def cross(self, v: Tensor) -> Tensor:
+        """[v×] (B,3,3) of (B,3)."""
+        return (v @ self.generators).view(-1, 3, 3)
+
+    def rotation(self, v: Tensor) -> Tensor:
+        """exp([v×]) by its series: exact to float precision for the small turns of one sample."""
+        n2 = (v * v).sum(1).clamp(max=1.0)[:, None, None]
+        m = self.cross(v)
+        return self.eye + (1 - n2 / 6 * (1 - n2 / 20)) * m + (0.5 - n2 / 24 * (1 - n2 / 30)) * (m @ m)
+
+    @torch.no_grad()
+    def gain(self, p: Tensor, turn: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
+        """Transposed Kalman gain (B,6,12) and updated covariance, from those before the sample."""
+        phi = self.phi.expand(len(p), 12, 12).clone()
+        phi[:, :3, :3] = turn.transpose(1, 2)
+        p = phi @ p @ phi.transpose(1, 2) + self.q
+        h = self.h.expand(len(p), 6, 12).clone()
+        h[:, :3, :3], h[:, 3:, :3] = self.cross(seen[:, :3]), self.cross(seen[:, 3:])
+        hp = h @ p
+        factor = torch.linalg.cholesky(hp @ h.transpose(1, 2) + self.r)
+        y = torch.linalg.solve_triangular(factor, hp, upper=False)
+        k = torch.linalg.solve_triangular(factor.transpose(1, 2), y, upper=True)
+        p = p - y.transpose(1, 2) @ y
+        return k, 0.5 * (p + p.transpose(1, 2))
+
+    def step(self, b: Batch, n: int, network: GainNetwork | None, memory: list[tuple[Tensor, Tensor]]) -> list[tuple[Tensor, Tensor]]:
+        """Filter sample ``n`` of every window; the state in ``b`` and the memory go on."""
+        turn = self.rotation((b.gyro[:, n] - b.bias) * self.dt)
+        c_nb = b.c_nb @ turn
+        disturbance = b.disturbance * self.decay
+        gravity = c_nb[:, 2, :] * b.gravity[:, None]
+        field = torch.einsum("bij,bi->bj", c_nb, b.field_n)
+        z = torch.cat([disturbance[:, :3] - b.accel[:, n] - gravity, b.mag[:, n] - disturbance[:, 3:] - field], 1)
+        k, b.p = self.gain(b.p, turn, torch.cat([gravity, field], 1))
+        if network is not None:
+            inputs = self.inputs(z, k, b.bias, disturbance)
+            change, memory = network(inputs, memory)
+            k = k + change
+        x = torch.einsum("bci,bc->bi", k, z)
+        b.c_nb = c_nb @ self.rotation(x[:, :3])
+        b.bias = b.bias + x[:, 3:6]
+        b.disturbance = disturbance + x[:, 6:]
+        return memory
+
+    @staticmethod
+    def inputs(z: Tensor, k: Tensor, bias: Tensor, disturbance: Tensor) -> Tensor:
+        """(B,90), as `ahrs_lstm_kernels.gather`."""
+        x = torch.einsum("bci,bc->bi", k, z)
+        whole = x + torch.cat([torch.zeros_like(bias), bias, disturbance], 1)
+        return torch.cat([z, whole, k.flatten(1)], 1)
+
+
+def attitude_loss(b: Batch, n: int, yaw_weight: float) -> tuple[Tensor, Tensor]:
+    """Mean square errors (deg²) after sample ``n``: of the tilt (roll and pitch together), and the loss."""
+    difference = b.c_nb - b.truth[:, n]
+    tilt = (difference[:, 2] ** 2).sum(1).mean() * DEGREES**2
+    return tilt, tilt + yaw_weight * 0.5 * (difference**2).sum((1, 2)).mean() * DEGREES**2
+
+
+@dataclass
+class Prepared:
+    """A flight with the KF's own states at every ``stride``-th row, where windows may start."""
+
+    flight: Any
+    stride: int
+    states: NDArray[np.float64]
+    covariances: NDArray[np.float64]
+    field_n: NDArray[np.float64]
+    model: NDArray[np.float64]
+    accel_bias: NDArray[np.float64]
+    features: NDArray[np.float64]
+
+
+def prepare_flight(flight: Any, filter_: AhrsKf, stride: int) -> Prepared:
+    """Run the KF over a flight once, and keep its states and inputs at window starts."""
+    from estimators.ahrs_kernels import filter_log
+
+    log = flight.log()
+    n, (state, p) = len(log.imu.t), filter_.start(log)
+    kept = n // stride
+    first, first_p = state.copy(), p.copy()
+    states, std = np.empty((n, 13)), np.empty((n, 3))
+    snapshots, z, s = np.empty((kept, 12, 12)), np.empty((kept, 6)), np.empty((kept, 6, 6))
+    recording, model = prepare(log, filter_.name), filter_.model(log)
+    filter_log(*recording, model, state, p, stride, states, std, snapshots, z, s)
+    at = states[stride - 1 :: stride]
+    features = _features(snapshots, z, at, model, recording.field_n)
+    return Prepared(
+        flight,
+        stride,
+        np.vstack([first, at]),
+        np.concatenate([first_p[None], snapshots]),
+        recording.field_n,
+        model,
+        log.initial.accel_bias,
+        features,
+    )
+
+
+def _features(p: Any, z: Any, states: Any, model: Any, field_n: Any) -> NDArray[np.float64]:
+    """The network's inputs at the snapshots, to a good approximation (P after the update), for their mean and spread."""
+    from testbed.rotations import quats_to_matrices
+
+    matrices = quats_to_matrices(np.ascontiguousarray(states[:, :4]))
+    filter_ = BatchFilter(model, torch.device("cpu"), torch.float64)
+    c_nb = torch.as_tensor(matrices)
+    seen = torch.cat([c_nb[:, 2] * model[10], torch.einsum("bij,i->bj", c_nb, torch.as_tensor(field_n))], 1)
+    k, _ = filter_.gain(torch.as_tensor(p), filter_.eye.expand(len(p), 3, 3), seen)
+    known = torch.as_tensor(states[:, 4:])
+    inputs = filter_.inputs(torch.as_tensor(z), k, known[:, :3], known[:, 3:])
+    return inputs.numpy()
+
+
+def normalisation(flights: Sequence[Prepared]) -> dict[str, NDArray[np.float32]]:
+    """Mean and spread of the inputs and the unit of each gain element (its root mean square), from the KF's own runs."""
+    rows = np.vstack([f.features[len(f.features) // 50 :] for f in flights])
+    mean, std = rows.mean(0), rows.std(0)
+    for block in (slice(0, 3), slice(3, 6), *(slice(a, a + 3) for a in range(6, 90, 3))):
+        std[block] = np.maximum(std[block], 0.1 * std[block].max() + 1e-9)
+    scale = np.sqrt((rows[:, 18:] ** 2).mean(0))
+    for block in range(0, 72, 3):
+        scale[block : block + 3] = scale[block : block + 3].max() + 1e-9
+    return {key: v.astype(np.float32) for key, v in {"mean": mean, "std": std, "scale": scale}.items()}
+
+
+def make_batch(windows: Sequence[tuple[Prepared, int]], rows: int, device: torch.device, dtype: torch.dtype = torch.float32) -> Batch:
+    """Load windows that start at rows that are multiples of the stride."""
+    from testbed.rotations import quats_to_matrices
+
+    data = [prepared.flight.window(start, rows) for prepared, start in windows]
+    at = [start // prepared.stride for prepared, start in windows]
+    states = np.stack([prepared.states[k] for (prepared, _), k in zip(windows, at, strict=True)])
+
+    def tensor(values: Any) -> Tensor:
+        return torch.as_tensor(np.ascontiguousarray(values)).to(device, dtype)
+
+    truth = np.stack([quats_to_matrices(d["q_nb"].astype(np.float64)) for d in data])
+    accel = [d["accel"] - prepared.accel_bias for d, (prepared, _) in zip(data, windows, strict=True)]
+    return Batch(
+        gyro=tensor(np.stack([d["gyro"] for d in data])),
+        accel=tensor(np.stack(accel)),
+        mag=tensor(np.stack([d["mag"] for d in data])),
+        truth=tensor(truth),
+        field_n=tensor(np.stack([prepared.field_n for prepared, _ in windows])),
+        gravity=tensor([prepared.model[10] for prepared, _ in windows]),
+        c_nb=tensor(quats_to_matrices(np.ascontiguousarray(states[:, :4]))),
+        bias=tensor(states[:, 4:7]),
+        disturbance=tensor(states[:, 7:]),
+        p=tensor(np.stack([prepared.covariances[k] for (prepared, _), k in zip(windows, at, strict=True)])),
+    )
+
+
+def train(
+    training: Sequence[Any],
+    validation: Sequence[Any],
+    out: str | Path,
+    settings: dict[str, Any] | None = None,
+    filter_params: dict[str, Any] | None = None,
+    resume: bool = False,
+    tell: Callable[[str], None] = print,
+) -> Path:
+    """Train; returns the file of the best weights. ``out`` gets ``ahrs-lstm.safetensors``, ``checkpoint.safetensors``
+    after every epoch, and ``learning-curve.csv``. ``resume`` goes on from the checkpoint.
+    """
+    chosen = Settings(**(settings or {}))
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    return _Training(chosen, AhrsKf(**(filter_params or {})), training, validation, folder, tell).run(resume)
+
+
+class _Training:
+    """One training: data, network, optimiser, and the files in ``folder``."""
+
+    def __init__(self, settings: Settings, kf: AhrsKf, training: Any, validation: Any, folder: Path, tell: Any) -> None:
+        self.settings, self.kf, self.folder, self.tell = settings, kf, folder, tell
+        if settings.threads:
+            torch.set_num_threads(settings.threads)
+        name = ("cuda" if torch.cuda.is_available() else "cpu") if settings.device == "auto" else settings.device
+        self.device = torch.device(name)
+        rate = 1.0 / float(kf.model(training[0].log())[9])
+        self.rows = max(settings.chunk, round(settings.window_s * rate) // settings.chunk * settings.chunk)
+        self.stride = settings.chunk
+        self.flights = [prepare_flight(flight, kf, self.stride) for flight in training]
+        self.validation = [(flight.log(), _truth(flight)) for flight in validation]
+        self.norm = normalisation(self.flights)
+        torch.manual_seed(settings.seed)
+        tensors = {key: torch.as_tensor(value) for key, value in self.norm.items()}
+        self.network = GainNetwork(settings, **tensors).to(self.device)
+        self.filter = BatchFilter(self.flights[0].model, self.device, torch.float32)
+        kinds = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD}
+        self.optimiser = kinds[settings.optimiser](self.network.parameters(), lr=settings.learning_rate)
+        self.updates = 0
+        self.best = (np.inf, -1)
+        self.curve: list[dict[str, float]] = []
+
+    def run(self, resume: bool) -> Path:
+        """All epochs that are still to do."""
+        first = self._restore() if resume and self._checkpoint.exists() else 0
+        if first == 0:
+            error = self._validate()
+            self._keep_best(error, -1)
+            self.curve.append({"epoch": 0, "train_tilt_deg": float("nan"), "validation_deg": error, "updates": 0})
+            self.tell(f"before training (the KF itself): validation {error:.4f} deg")
+        started = time.monotonic()
+        for epoch in range(first, self.settings.epochs):
+            error = self._epoch(epoch)
+            valid = self._validate()
+            self.curve.append({"epoch": epoch + 1, "train_tilt_deg": error, "validation_deg": valid, "updates": self.updates})
+            self._keep_best(valid, epoch)
+            self._save(epoch + 1)
+            spent = time.monotonic() - started
+            left = spent / (epoch + 1 - first) * (self.settings.epochs - epoch - 1)
+            self.tell(f"epoch {epoch + 1} of {self.settings.epochs}: training {error:.4f} deg, validation {valid:.4f} deg, {left:.0f} s left")
+        return self.folder / "ahrs-lstm.safetensors"
+
+    @property
+    def _checkpoint(self) -> Path:
+        return self.folder / "checkpoint.safetensors"
+
+    def _windows(self, epoch: int) -> list[list[tuple[Prepared, int]]]:
+        """Batches of window starts: all flights cut into windows from a drawn offset, shuffled."""
+        rng = np.random.default_rng((self.settings.seed, epoch))
+        windows = []
+        for flight in self.flights:
+            offset = int(rng.integers(0, max(1, min(self.rows, flight.flight.rows - self.rows)) // self.stride + 1)) * self.stride
+            windows += [(flight, start) for start in range(offset, flight.flight.rows - self.rows + 1, self.rows)]
+        order = rng.permutation(len(windows))
+        size = min(self.settings.batch, len(windows))
+        return [[windows[i] for i in order[a : a + size]] for a in range(0, len(windows) - size + 1, size)]
+
+    def _epoch(self, epoch: int) -> float:
+        """Root mean square tilt error (deg per axis) over the epoch, while learning."""
+        batches, total = self._windows(epoch), 0.0
+        rng = np.random.default_rng((self.settings.seed, epoch, 1))
+        told = time.monotonic()
+        for k, windows in enumerate(batches):
+            batch = make_batch(windows, self.rows, self.device)
+            self._vary(batch, rng)
+            memory, part = self.network.start(len(windows)), 0.0
+            for chunk in range(0, self.rows, self.settings.chunk):
+                self._set_rate(epoch + (k + chunk / self.rows) / len(batches))
+                memory, tilt = self._update(batch, chunk, memory)
+                part += tilt * self.settings.chunk / self.rows
+            total += part / len(batches)
+            if time.monotonic() - told > 20.0:
+                told = time.monotonic()
+                self.tell(f"  epoch {epoch + 1}, batch {k + 1} of {len(batches)}: {np.sqrt(part / 2):.4f} deg")
+        return float(np.sqrt(total / 2.0))
+
+    def _update(self, b: Batch, start: int, memory: Any) -> tuple[Any, float]:
+        """One step of the optimiser on one chunk; returns the detached memory and the mean square tilt (deg²)."""
+        b.c_nb, b.bias, b.disturbance = _orthonormal(b.c_nb.detach()), b.bias.detach(), b.disturbance.detach()
+        memory = [(h.detach(), c.detach()) for h, c in memory]
+        tilts, losses = [], []
+        for n in range(start, start + self.settings.chunk):
+            memory = self.filter.step(b, n, self.network, memory)
+            tilt, loss = attitude_loss(b, n, self.settings.yaw_weight)
+            tilts.append(tilt.detach())
+            losses.append(loss)
+        self.optimiser.zero_grad(set_to_none=True)
+        torch.stack(losses).mean().backward()
+        norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.gradient_limit)
+        if bool(torch.isfinite(norm)):
+            self.optimiser.step()
+            self.updates += 1
+        return memory, float(torch.stack(tilts).mean())
+
+    def _set_rate(self, progress: float) -> None:
+        s = self.settings
+        fall = 0.5 * (1.0 + np.cos(np.pi * min(1.0, progress / s.epochs)))
+        warm = min(1.0, (self.updates + 1) / 50.0) if s.optimiser == "adam" else 1.0
+        for group in self.optimiser.param_groups:
+            group["lr"] = s.learning_rate * warm * (s.final_rate + (1.0 - s.final_rate) * fall)
+
+    def _vary(self, b: Batch, rng: np.random.Generator) -> None:
+        """Draw the start errors of the windows, and the reference's error where one is asked for."""
+
+        def draw(sigma_deg: float) -> Tensor:
+            drawn = rng.normal(0.0, sigma_deg / DEGREES, (len(b.truth), 3))
+            return torch.as_tensor(drawn).to(self.device, torch.float32)
+
+        b.c_nb = b.c_nb @ self.filter.rotation(draw(self.settings.start_error_deg))
+        b.bias = b.bias + draw(self.settings.start_bias_dps)
+        if self.settings.reference_noise_deg:
+            b.truth = b.truth @ self.filter.rotation(draw(self.settings.reference_noise_deg))[:, None]
+
+    def _validate(self) -> float:
+        """Roll and pitch RMSE (deg, both axes pooled) over the validation flights, with the compiled filter."""
+        from testbed.rotations import quats_to_eulers, wrap
+
+        total, count = 0.0, 0
+        for log, truth in self.validation:
+            solution = solve_with(self.kf, log, self._arrays(), self._metadata(-1, 0.0))
+            error = wrap(quats_to_eulers(solution.q_nb) - truth)[:, :2]
+            total, count = total + float((error**2).sum()), count + error.size
+        return float(np.sqrt(total / count) * DEGREES)
+
+    def _arrays(self) -> dict[str, NDArray[np.float32]]:
+        return {key: value.detach().cpu().contiguous().numpy() for key, value in self.network.state_dict().items()}
+
+    def _metadata(self, epoch: int, error: float) -> dict[str, Any]:
+        flights = [getattr(f.flight, "meta", {}).get("entry", {}).get("file", "") for f in self.flights]
+        return {
+            "activation": self.settings.activation,
+            "filter": asdict(self.kf),
+            "training": asdict(self.settings) | {"device": self.device.type},
+            "epoch": epoch + 1,
+            "validation_deg": error,
+            "flights": flights,
+            "learning_curve": self.curve,
+        }
+
+    def _keep_best(self, error: float, epoch: int) -> None:
+        if error < self.best[0]:
+            self.best = (error, epoch)
+            _write(self.folder / "ahrs-lstm.safetensors", self._arrays(), self._metadata(epoch, error))
+
+    def _save(self, done: int) -> None:
+        """Everything that the next epoch depends on, in one file that is replaced at once."""
+        arrays = {f"network.{k}": v for k, v in self._arrays().items()}
+        for i, entry in self.optimiser.state_dict()["state"].items():
+            arrays |= {f"optimiser.{i}.{k}": np.asarray(v.cpu()) for k, v in entry.items() if torch.is_tensor(v)}
+        state = {"done": done, "updates": self.updates, "best": list(self.best), "curve": self.curve}
+        _write(self._checkpoint, arrays, state | {"settings": asdict(self.settings), "filter": asdict(self.kf)})
+        with open(self.folder / "learning-curve.csv", "w", newline="") as file:
+            writer = csv.DictWriter(file, list(self.curve[0]))
+            writer.writeheader()
+            writer.writerows({k: f"{v:.6g}" for k, v in row.items()} for row in self.curve)
+
+    def _restore(self) -> int:
+        from safetensors import safe_open
+
+        with safe_open(self._checkpoint, framework="numpy") as file:
+            arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            state = {key: json.loads(value) for key, value in file.metadata().items()}
+        if state["settings"] != asdict(self.settings) or state["filter"] != asdict(self.kf):
+            raise InputError(f"{self._checkpoint}: was made with other settings; train without --resume, or in another folder")
+        self.network.load_state_dict({k[8:]: torch.as_tensor(v) for k, v in arrays.items() if k.startswith("network.")})
+        entries: dict[int, dict[str, Tensor]] = {}
+        for key, value in arrays.items():
+            if key.startswith("optimiser."):
+                _, index, name = key.split(".")
+                entries.setdefault(int(index), {})[name] = torch.as_tensor(value)
+        self.optimiser.load_state_dict(self.optimiser.state_dict() | {"state": entries})
+        self.updates, self.best, self.curve = state["updates"], tuple(state["best"]), state["curve"]
+        self.tell(f"resumed after epoch {state['done']} of {self.settings.epochs}")
+        return int(state["done"])
+
+
+def solve_with(kf: AhrsKf, log: Any, arrays: dict[str, Any], metadata: dict[str, Any]) -> Any:
+    """The compiled filter with these arrays as network."""
+    from estimators.ahrs_lstm_kernels import filter_log_corrected
+
+    made = assemble(arrays, metadata)
+
+    def loop(arguments: tuple[Any, ...]) -> None:
+        filter_log_corrected(*arguments, tuple(made.network), made.scale, np.zeros(len(arguments[-1])))
+
+    return kf.solve(log, loop)
+
+
+def _truth(flight: Any) -> NDArray[np.float64]:
+    from testbed.rotations import quats_to_eulers
+
+    return quats_to_eulers(flight.window(0, flight.rows)["q_nb"].astype(np.float64))  # type: ignore[no-any-return]
+
+
+def _orthonormal(c_nb: Tensor) -> Tensor:
+    """The rotation matrix nearest to one that is off by rounding (one Newton step)."""
+    return 0.5 * c_nb @ (3.0 * torch.eye(3, device=c_nb.device, dtype=c_nb.dtype) - c_nb.transpose(1, 2) @ c_nb)
+
+
+def _write(path: Path, arrays: dict[str, Any], metadata: dict[str, Any]) -> None:
+    from safetensors.numpy import save_file
+
+    scratch = path.with_suffix(".tmp")
+    save_file(arrays, scratch, {key: json.dumps(value) for key, value in metadata.items()})
+    os.replace(scratch, path)

@@ -1,0 +1,344 @@
+"""`nnckf` and `nnakf`: NARX networks that carry an EKF or UKF through GNSS outages.
+
+The NARX thesis (2021). While there is GNSS, a second copy of the solution runs free and is re-set every ``longest_outage_s``;
+six networks learn what it lacks. Coordinates of `direct`; SI units and radians, NED.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from estimators.direct import Array, DirectProblem, check_range
+from estimators.narx_networks import CANDIDATES, P_DP, SINCE_RESET, Drift, DriftNetworks, Structure, select_inputs, select_lags
+from estimators.networks.levenberg_marquardt import Training
+from estimators.working_copy import Fixes, Kind, WorkingCopy
+from testbed.errors import InputError
+from testbed.records import NavSolution, SensorLog, Trajectory
+
+RECOVERY_S = 20.0
+"""From the end of an outage to the next re-set of the free copy: the filter has found its way back."""
+GAP_EPOCHS = 2.5
+"""Fixes that are missing for more than so many epochs are an outage."""
+HELD_BACK = 3
+"""Of the drifts of the offline flights every third is kept from training: the simulated outages of the statistics."""
+
+
+class Stretch(NamedTuple):
+    """Part of a log, up to IMU row ``end``. ``kind``: plain filtering, a lesson with GNSS, or an outage."""
+
+    kind: Literal["plain", "lesson", "outage"]
+    end: int
+    t: Array
+    """Epochs of the networks: the re-set, then fixes, or the moments at which fixes are missing."""
+
+
+@dataclass(frozen=True)
+class NarxAiding:
+    """Parameters of both schemes. Weights come from `fit`, or by the name ``networks`` from what `prepare` stored."""
+
+    filter: Kind = "ukf"
+    inputs: str | Sequence[str] = "mrmr"
+    """``mrmr``: the ``input_count`` best of the thesis's ten, per target; ``all`` ten; ``p-dp``; ``since-reset``: MRMR among changes
+    since the re-set and angles; or a list of names, the same for every target."""
+    input_count: int = 4
+    output_lags: int = -1
+    """-1: from the Lipschitz curve; 0: a plain feed-forward network."""
+    input_lags: int = -1
+    neurons: int = 8
+    seed: int = 0
+    step_s: float = 1.0
+    """Interval of the networks' epochs: a multiple of the GNSS interval."""
+    longest_outage_s: float = 60.0
+    settle_s: float = 100.0
+    """The filter's own convergence, before the first lesson."""
+    epochs: int = 100
+    """Offline."""
+    online_epochs: int = 10
+    """Per window; 0 leaves the networks as they came from the offline flight."""
+    online_windows: int = 1
+    """Windows that one on-line update is trained on: the newest, and those before it."""
+    goal: float = 1e-6
+    """Mean square normalised error at which an update ends."""
+    decay: float = 0.0
+    networks: str = ""
+    """Name of stored networks; empty: those of `fit`, or on-line learning from nothing."""
+
+    name: ClassVar[str] = "narx"
+    _trained: DriftNetworks | None = field(default=None, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.filter not in ("ekf", "ukf"):
+            raise InputError(f"{self.name}: filter is '{self.filter}', expected 'ekf' or 'ukf'")
+        if isinstance(self.inputs, str) and self.inputs not in ("mrmr", "all", "p-dp", "since-reset"):
+            raise InputError(f"{self.name}: inputs is '{self.inputs}', expected 'mrmr', 'all', 'p-dp', 'since-reset' or a list")
+        ranges = {
+            "input_count": (1, 17),
+            "output_lags": (-1, 10),
+            "input_lags": (-1, 10),
+            "neurons": (1, 100),
+            "step_s": (1e-3, 60.0),
+            "longest_outage_s": (2.0, 3600.0),
+            "settle_s": (0.0, 1e5),
+            "online_windows": (1, 1000),
+            "online_epochs": (0, 10_000),
+        }
+        for key, (low, high) in ranges.items():
+            check_range(self.name, key, getattr(self, key), low, high)
+        if self.output_lags == 0 and self.input_lags < 0:
+            raise InputError(f"{self.name}: output_lags = 0 needs input_lags of 0 or more")
+        Training(epochs=self.epochs, decay=self.decay)
+
+    # ------------------------------------------------------------------ learning before the flight
+    def fit(self, flights: Iterable[tuple[SensorLog, Trajectory | None]]) -> None:
+        """Choose inputs and lags, train, and take the statistics, on flights without outages. Truth is not looked at."""
+        drifts = [drift for log, _ in flights for drift in self.lessons(log)]
+        if len(drifts) < HELD_BACK:
+            raise InputError(f"{self.name}: {len(drifts)} windows of {self.longest_outage_s:g} s to learn from, needs {HELD_BACK}")
+        held_back = drifts[HELD_BACK - 1 :: HELD_BACK]
+        known = [drift for k, drift in enumerate(drifts) if k % HELD_BACK != HELD_BACK - 1]
+        networks = DriftNetworks(self.structure(known)).train(known, self._offline())
+        object.__setattr__(self, "_trained", networks.with_statistics(held_back))
+
+    def prepare(self, scenario: Any) -> None:
+        """Train on the flights of ``[extra.training]`` and store the networks, unless that is done already."""
+        if not self.networks:
+            return
+        from testbed.training_flights import training_digest, training_flights
+
+        digest = training_digest(scenario)
+        flights = training_flights(scenario)
+        path = self.weights_path(flights[0][0])
+        if path.exists() and DriftNetworks.load(path)[1].get("training") == digest:
+            return
+        student = replace(self)
+        student.fit(flights)
+        assert student._trained is not None
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished = path.with_suffix(f".{digest}.tmp")
+        student._trained.save(unfinished, {"training": digest})
+        unfinished.replace(path)
+
+    def weights_path(self, log: SensorLog) -> Path:
+        """Where the networks ``networks`` of these parameters and these sensors are kept."""
+        from testbed import resources, specs
+
+        params = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
+        gnss = specs.to_dict(log.gnss.spec) if log.gnss is not None else {}
+        key = {"params": params, "imu": specs.to_dict(log.imu.spec), "gnss": gnss, "class": self.name}
+        digest = hashlib.sha256(json.dumps(key, sort_keys=True, default=list).encode()).hexdigest()[:16]
+        return resources.cache_root() / "networks" / f"{self.networks}-{digest}.safetensors"
+
+    def lessons(self, log: SensorLog) -> Iterator[Drift]:
+        """Every re-set of the free copy in a log."""
+        flight = _Flight(self, log)
+        for stretch in flight.plan():
+            if stretch.kind == "lesson":
+                yield flight.lesson(stretch)
+            else:
+                flight.main.run_to(stretch.end, flight.fixes)
+
+    def structure(self, drifts: Sequence[Drift]) -> Structure:
+        """Inputs and lags as the parameters say, chosen from the data where they say so."""
+        if self.inputs == "mrmr":
+            inputs = select_inputs(drifts, self.input_count)
+        elif self.inputs == "since-reset":
+            inputs = select_inputs(drifts, self.input_count, ("roll", "pitch", "yaw", "t", *SINCE_RESET))
+        elif self.inputs == "p-dp":
+            inputs = P_DP
+        else:
+            inputs = (CANDIDATES if self.inputs == "all" else tuple(self.inputs),) * 6
+        ny, nu = self.output_lags, self.input_lags
+        if ny >= 0 and nu >= 0:
+            return Structure(inputs, ((ny, nu),) * 6, self.neurons, self.seed)
+        found = select_lags(drifts, inputs)
+        return Structure(inputs, tuple((ny if ny >= 0 else a, nu if nu >= 0 else b) for a, b in found), self.neurons, self.seed)
+
+    def _offline(self) -> Training:
+        return Training(epochs=self.epochs, goal=self.goal, decay=self.decay)
+
+    def _online(self) -> Training:
+        return Training(epochs=self.online_epochs, goal=self.goal, decay=self.decay, validation_share=0.0)
+
+    def initial_networks(self, log: SensorLog) -> DriftNetworks | None:
+        """What is known before take-off. Raises InputError when the named networks were never trained."""
+        if self._trained is not None or not self.networks:
+            return self._trained
+        path = self.weights_path(log)
+        if not path.exists():
+            raise InputError(
+                f"{self.name}: no networks '{self.networks}' trained for these sensors and parameters; "
+                f"call prepare(scenario) or fit(flights) first (the runner does)"
+            )
+        return DriftNetworks.load(path)[0]
+
+    # ------------------------------------------------------------------ in flight
+    def run(self, log: SensorLog) -> NavSolution:
+        """Filter the log, learning while there is GNSS. Raises InputError when it has no GNSS."""
+        flight = _Flight(self, log)
+        networks, seen, outputs, limits = self.initial_networks(log), [], [], []
+        for stretch in flight.plan():
+            if stretch.kind == "lesson":
+                drift = flight.lesson(stretch)
+                seen = [*seen[1 - self.online_windows :], drift] if self.online_windows > 1 else [drift]
+                if networks is None:
+                    networks = DriftNetworks(self.structure(seen)).train(seen, self._offline()).with_statistics(seen)
+                elif self.online_epochs:
+                    networks = networks.train(seen, self._online())
+            elif stretch.kind == "outage" and networks is not None and len(stretch.t) > 1:
+                drift = flight.free_drift(stretch)
+                output, limited = networks.closed_loop(drift)
+                self.bridge(flight, stretch, drift, output, networks)
+                outputs.append((stretch.t, output))
+                limits.append((stretch.t[0], limited))
+            else:
+                flight.main.run_to(stretch.end, flight.fixes, keep=True)
+        return flight.solution(outputs, limits)
+
+    def bridge(self, flight: _Flight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks) -> None:
+        """Take the main copy through an outage with the networks' output (E,6) on the free copy's drift."""
+        raise NotImplementedError
+
+    def lacking(self, flight: _Flight, t: Array, main: Array) -> Array:
+        """Targets (E,6) at epochs ``t`` of a lesson, where ``main`` (E,15) is the filter's state."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Nnckf(NarxAiding):
+    """Compensated: the networks learn filter minus free copy, and in an outage are added to the coasting filter's answer.
+
+    The covariance stays the filter's own.
+    """
+
+    name: ClassVar[str] = "nnckf"
+
+    def lacking(self, flight: _Flight, t: Array, main: Array) -> Array:
+        return main[:, :6] - flight.free_states[1:, :6]
+
+    def bridge(self, flight: _Flight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks) -> None:
+        first, task = flight.main.row, flight.task
+        flight.main.run_to(stretch.end, keep=True)
+        rows = slice(first, stretch.end)
+        for k in range(6):
+            task.outputs[0][rows, k] += np.interp(task.t[rows], stretch.t, output[:, k])
+
+
+@dataclass(frozen=True)
+class Nnakf(NarxAiding):
+    """Aided: the networks learn GNSS minus the free copy; in an outage both together are the filter's measurement.
+
+    Its variance, a bias and the filter's P at the start of the outage are set by the networks' simulated outages.
+    """
+
+    tune_p: bool = True
+    """Whether P is enlarged at the start of an outage by what the drifts of the offline flight exceeded it."""
+
+    name: ClassVar[str] = "nnakf"
+
+    def lacking(self, flight: _Flight, t: Array, main: Array) -> Array:
+        return flight.fixes.z[np.searchsorted(flight.fixes.t, t - 1e-6)] - flight.free_readings[1:]
+
+    def bridge(self, flight: _Flight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks) -> None:
+        z = flight.free_readings + output + networks.mean
+        r = np.maximum(networks.std, np.sqrt(flight.task.gnss_r.min(axis=0))) ** 2
+        if self.tune_p:
+            flight.main.p *= max(1.0, networks.growth)
+        flight.main.run_to(stretch.end, Fixes(stretch.t[1:], z[1:], np.tile(r, (len(z) - 1, 1))), keep=True)
+
+
+class _Flight:
+    """A log being worked through: the main copy, the fixes, and the free copy's last run."""
+
+    def __init__(self, settings: NarxAiding, log: SensorLog) -> None:
+        self.settings, self.log = settings, log
+        self.task = DirectProblem.of(log, settings.name, (1.0,) * 4, (1.0, 1.0))
+        self.main = WorkingCopy.of(self.task, settings.filter)
+        self.fixes = Fixes(self.task.gnss_t, self.task.gnss_z, self.task.gnss_r)
+        self.free_states = self.free_readings = np.empty((0, 0))
+        rate = log.gnss.spec.rate_hz if log.gnss is not None else 1.0
+        self.epoch = 1.0 / rate
+        self.stride = max(1, round(settings.step_s * rate))
+
+    def plan(self) -> Iterator[Stretch]:
+        """The stretches of the log in order."""
+        t, fixes = self.task.t, self.fixes.t
+        fixes = fixes[fixes <= t[-1]]
+        nothing, length = np.empty(0), self.settings.longest_outage_s
+        free_from = self.task.start + self.settings.settle_s
+        edges = np.append(fixes, t[-1] + self.epoch)
+        gaps = [k for k in np.flatnonzero(np.diff(edges) > GAP_EPOCHS * self.epoch)] if len(fixes) else []
+        for k in [*gaps, None] if len(fixes) else []:
+            last = float(edges[k]) if k is not None else float(t[-1])
+            reset = free_from
+            while reset + length <= last + 1e-6:
+                inside = fixes[(fixes > reset + 1e-6) & (fixes <= reset + length + 1e-6)]
+                yield Stretch("plain", self._row(reset), nothing)
+                epochs = np.append(reset, inside[self.stride - 1 :: self.stride])
+                yield Stretch("lesson", self._row(reset + length), epochs)
+                reset += length
+            yield Stretch("plain", self._row(last), nothing)
+            if k is None:
+                break
+            end = float(edges[k + 1])
+            missed = last + self.epoch * self.stride * np.arange(0, (end - last) / (self.epoch * self.stride) - 1e-6)
+            yield Stretch("outage", self._row(end - 0.5 * self.epoch), missed[missed <= t[-1]])
+            free_from = end + RECOVERY_S
+        yield Stretch("plain", len(t), nothing)
+
+    def _row(self, time: float) -> int:
+        """The first IMU row after a time."""
+        return int(np.searchsorted(self.task.t, time + 1e-6, "right"))
+
+    def lesson(self, stretch: Stretch) -> Drift:
+        """Run both copies through a stretch with GNSS; what the free one lacked is the target."""
+        free, first, rows = self.main.fork(), self.main.x.copy(), slice(self.main.row, stretch.end)
+        main, _ = self.main.run_to(stretch.end, self.fixes, keep=True)
+        drift = self._drift(stretch, first, *free.run_to(stretch.end), rows)
+        y = np.vstack([np.zeros(6), self.settings.lacking(self, stretch.t[1:], _at(stretch.t[1:], self.task.t[rows], main))])
+        return replace(drift, y=y)
+
+    def free_drift(self, stretch: Stretch) -> Drift:
+        """Run the free copy alone through an outage."""
+        first, rows = self.main.x.copy(), slice(self.main.row, stretch.end)
+        return self._drift(stretch, first, *self.main.fork().run_to(stretch.end), rows)
+
+    def _drift(self, stretch: Stretch, first: Array, states: Array, variances: Array, rows: slice) -> Drift:
+        t, grid = stretch.t, self.task.t[rows]
+        at = np.vstack([first, _at(t[1:], grid, states)])
+        self.free_states, self.free_readings = at, self._antenna(at, t)
+        spread = np.vstack([np.zeros(6), _at(t[1:], grid, variances[:, :9])[:, :6]])
+        return Drift.of(t - t[0], at, np.full((len(at), 6), np.nan), spread)
+
+    def _antenna(self, states: Array, t: Array) -> Array:
+        """What the receiver would read (E,6) in these states (E,15)."""
+        from estimators.direct_kernels import antenna
+
+        out = np.empty((len(states), 6))
+        for k, i in enumerate(np.minimum(np.searchsorted(self.task.t, t), len(self.task.t) - 1)):
+            antenna(states[k], self.task.imu[i], self.task.setting, out[k])
+        return out
+
+    def solution(self, outputs: list[tuple[Array, Array]], limits: list[tuple[float, int]]) -> NavSolution:
+        """The main copy's answer, with the networks' outputs and the count of what their guard limited."""
+        used = int(np.searchsorted(self.fixes.t, self.task.t[-1] + 1e-7, "right"))
+        self.task.outputs[3][:used], self.task.outputs[4][:used] = self.fixes.residuals[:used], self.fixes.covariances[:used]
+        extras = {"test_statistic": (self.fixes.t[:used], self.fixes.figures[:used, 0])}
+        if outputs:
+            extras["network_output"] = tuple(np.concatenate(part) for part in zip(*outputs, strict=True))
+            extras["network_limited"] = tuple(np.array(part, dtype=float) for part in zip(*limits, strict=True))
+        return self.task.solution(used, extras)
+
+
+def _at(t: Array, grid: Array, states: Array) -> Array:
+    """States (E,15) at times ``t``: interpolated, but for the yaw angle, which is that of the nearest row."""
+    out = np.column_stack([np.interp(t, grid, states[:, k]) for k in range(states.shape[1])])
+    near = np.clip(np.searchsorted(grid, t), 0, len(grid) - 1)
+    out[:, 6:9] = states[near, 6:9]
+    return out

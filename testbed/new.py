@@ -1,0 +1,68 @@
+"""Starting files: ``testbed new estimator NAME`` and ``testbed new scenario NAME`` write one that runs as it is.
+
+The files under ``templates/`` are themselves valid; only the names in them are replaced.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+from testbed.errors import InputError, nearest
+
+TEMPLATES = Path(__file__).with_name("templates")
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([_-][A-Za-z0-9]+)*")
+
+
+def new_file(kind: str, name: str, folder: Path = Path()) -> Path:
+    """Write the starting file of a ``kind`` (estimator or scenario) into ``folder`` and return its path.
+
+    Raises InputError for an unknown kind, a name that is malformed or taken, and a file that exists.
+    """
+    if kind not in KINDS:
+        raise InputError(f"no starting file for '{kind}'; {nearest(kind, KINDS)}")
+    if not NAME.fullmatch(name):
+        raise InputError(f"'{name}': a name is letters and digits, words joined by '-' or '_', for example my-{kind}")
+    path, text = KINDS[kind](name)
+    path = folder / path
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise InputError(f"{path}: exists already; give another name") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    return path
+
+
+def _estimator(name: str) -> tuple[str, str]:
+    from testbed.registry import list_estimators
+
+    module = name.replace("-", "_")
+    if name in list_estimators():
+        raise InputError(f"'{name}' is an estimator already; give another name")
+    if not Path(f"{module}.py").exists() and find_spec(module) is not None:
+        raise InputError(f"{module}.py would hide the Python module '{module}'; give another name")
+    text = (TEMPLATES / "estimator.py").read_text(encoding="utf-8")
+    title = "".join(word[0].upper() + word[1:] for word in re.split("[_-]", name))
+    return f"{module}.py", text.replace("my-estimator", name).replace("MyEstimator", title)
+
+
+def _scenario(name: str) -> tuple[str, str]:
+    from testbed.scenario import list_scenarios
+
+    if name in list_scenarios():
+        raise InputError(f"'{name}' is a shipped scenario; give another name")
+    return f"{name}.toml", (TEMPLATES / "scenario.toml").read_text(encoding="utf-8").replace("my-scenario", name)
+
+
+KINDS: dict[str, Callable[[str], tuple[str, str]]] = {"estimator": _estimator, "scenario": _scenario}
+
+
+def command_for(kind: str, path: Path, name: str) -> str:
+    """What to type next."""
+    if kind == "scenario":
+        return f"testbed run {path}"
+    return f"testbed run quickstart --plugin {path} --estimators {name},indirect-kf --runs 5"

@@ -1,0 +1,131 @@
+"""What a search has evaluated, on disk: enough to resume it, since an algorithm is a function of its seed and the values told.
+
+A Parquet file per search: coordinates (no unit), objective, seconds. Written beside and renamed, so a kill leaves whole
+files only. A resumed search asks again from the start and is told the stored values until they are used up.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from testbed.errors import InputError
+from testbed.records import Array
+from testbed.store import writing
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def write_atomic(path: Path, content: bytes) -> None:
+    """Write a whole file or none. Raises StoreError when the disk does not take it."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with writing(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            temporary.write_bytes(content)
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+
+
+def write_json(path: Path, data: object) -> None:
+    """`write_atomic` of JSON."""
+    write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
+
+
+class History:
+    """Evaluations of one search in the order asked; ``names`` (d,) are the coordinates. Saved every ``interval_s``."""
+
+    def __init__(self, path: Path, names: list[str], interval_s: float = 10.0) -> None:
+        self.path, self.names, self.interval_s = path, names, interval_s
+        self.x, self.f, self.seconds = read_evaluations(path, names) if path.exists() else _empty(len(names))
+        self._replayed = 0
+        self._fresh: list[tuple[Array, Array, float]] = []
+        self._saved_at = time.monotonic()
+
+    def __len__(self) -> int:
+        return self._replayed + sum(len(f) for _, f, _ in self._fresh)
+
+    def recall(self, x: Array) -> Array | None:
+        """(n,) stored values of the candidates asked next, or None where the store ends.
+
+        Raises InputError when the store holds other candidates: it comes from another search.
+        """
+        n = len(x)
+        if self._fresh or self._replayed + n > len(self.f):
+            if not self._fresh:
+                self.x, self.f, self.seconds = (a[: self._replayed] for a in (self.x, self.f, self.seconds))
+            return None
+        rows = slice(self._replayed, self._replayed + n)
+        if not np.array_equal(self.x[rows], x):
+            raise InputError(f"{self.path}: holds another search (candidate {self._replayed} differs); delete it to start anew")
+        self._replayed += n
+        return self.f[rows]
+
+    def add(self, x: Array, f: Array, seconds: float) -> None:
+        """Take new evaluations, which took so long together."""
+        self._fresh.append((x.copy(), f.copy(), seconds))
+        if time.monotonic() - self._saved_at > self.interval_s:
+            self.save()
+
+    def all(self) -> tuple[Array, Array, Array]:
+        """``x`` (k,d), ``f`` (k,), ``seconds`` (k,) of all that was asked so far."""
+        fresh = self._fresh
+        x = [self.x[: self._replayed], *(x for x, _, _ in fresh)]
+        f = [self.f[: self._replayed], *(f for _, f, _ in fresh)]
+        seconds = [self.seconds[: self._replayed], *(np.full(len(f), s / len(f)) for _, f, s in fresh)]
+        return np.concatenate(x), np.concatenate(f), np.concatenate(seconds)
+
+    def save(self) -> None:
+        """Write the file, if there is anything new."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        self._saved_at = time.monotonic()
+        if not self._fresh:
+            return
+        x, f, seconds = self.all()
+        columns = dict(zip(self.names, x.T, strict=True)) | {"objective": f, "seconds": seconds}
+        buffer = io.BytesIO()
+        pq.write_table(pa.table(columns), buffer)
+        write_atomic(self.path, buffer.getvalue())
+
+
+def read_evaluations(path: Path, names: list[str]) -> tuple[Array, Array, Array]:
+    """``x``, ``f``, ``seconds`` of a file. Raises InputError when it is none or has other coordinates."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise InputError(f"{path}: not a readable file of evaluations ({error}); delete it to start this search anew") from None
+    if table.column_names != [*names, "objective", "seconds"]:
+        raise InputError(f"{path}: has the columns {', '.join(table.column_names)}; the space of the search is another")
+    x = np.column_stack([table[name].to_numpy() for name in names])
+    return x, table["objective"].to_numpy().copy(), table["seconds"].to_numpy().copy()
+
+
+def per_iteration(f: Array, population: int) -> pd.DataFrame:
+    """Columns iteration, evaluations, best (so far), mean and worst (of the iteration's candidates)."""
+    import pandas as pd
+
+    rows = []
+    best = np.inf
+    for k, start in enumerate(range(0, len(f), population), 1):
+        part = f[start : start + population]
+        best = min(best, float(part.min()))
+        rows.append((k, start + len(part), best, float(part.mean()), float(part.max())))
+    return pd.DataFrame(rows, columns=["iteration", "evaluations", "best", "mean", "worst"])
+
+
+def _empty(size: int) -> tuple[Array, Array, Array]:
+    return np.empty((0, size)), np.empty(0), np.empty(0)

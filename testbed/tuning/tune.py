@@ -1,0 +1,260 @@
+"""The driver: every search that ``[extra.tune]`` asks for, stored as it goes, then scored on seen and unseen runs.
+
+Folder: ``manifest.json``, ``scenario.toml``, ``evaluations/SEARCH.parquet``, ``best/SEARCH.toml`` (a parameter file),
+``history.csv``, ``searches.csv``, ``scores.csv``, ``heldout.csv``, ``timings.csv``. All but the timings and the seconds of
+the evaluations are a function of scenario and seeds, however often the work was interrupted. Metrics in m, m/s, degrees.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from testbed.errors import InputError, TestbedError, nearest
+from testbed.scenario import Scenario, dump_toml
+from testbed.tuning.config import TuneConfig, tune_config, tuned_entry
+from testbed.tuning.history import History, write_atomic, write_json
+from testbed.tuning.objective import Objective, make_objective, record, scenario_space
+from testbed.tuning.search import make_search
+
+KIND = "testbed tuning"
+DATA_SHEET = "data-sheet"
+INNOVATIONS = "innovations"
+FREE = ("algorithms", "iterations", "seeds", "test_runs", "innovation_search")
+"""Keys of ``[extra.tune]`` that may change when a study is resumed: they add searches, or change none."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One search: what a row of the tables stands for."""
+
+    algorithm: str
+    iterations: int
+    seed: int
+    likelihood: bool = False
+
+    @property
+    def name(self) -> str:
+        """Its file name."""
+        return f"{INNOVATIONS + '-' if self.likelihood else ''}{self.algorithm}-{self.iterations:04d}-seed{self.seed}"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a study is: evaluations done of ``total``, the running search, its best value, seconds left (None: unknown)."""
+
+    done: int
+    total: int
+    search: str
+    best: float
+    left_s: float | None
+
+
+class Stopped(TestbedError):
+    """The study was stopped before its end; what is done is stored."""
+
+
+def tasks_of(config: TuneConfig) -> list[Task]:
+    """The searches of a study, short ones first; the likelihood search as long as the first of them."""
+    out = [Task(a, n, seed) for n in sorted(config.iterations) for seed in config.seeds for a in config.algorithms]
+    if config.innovation_search != "none":
+        out.insert(0, Task(config.innovation_search, min(config.iterations), config.seeds[0], True))
+    return out
+
+
+def tune(
+    scenario: Scenario,
+    out: str | Path,
+    config: TuneConfig | None = None,
+    jobs: int | None = None,
+    resume: bool = False,
+    only: str | None = None,
+    time_limit_s: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Path:
+    """Run a study and return its folder; `testbed.tuning.report.write_report` renders it.
+
+    ``jobs`` threads or processes share each population (default: all cores). ``only`` runs the search of this name and
+    no tables. After ``time_limit_s`` the study stops at a whole evaluation; ``resume`` goes on. Raises Stopped when it
+    is not complete, InputError for a folder that holds something else.
+    """
+    config = config or tune_config(scenario)
+    folder = _open(Path(out), scenario, config, resume or only is not None)
+    tasks = tasks_of(config)
+    if only is not None:
+        names = [task.name for task in tasks]
+        if only not in names:
+            raise InputError(f"--only {only}: no such search; {nearest(only, names)}")
+        tasks = [task for task in tasks if task.name == only]
+    deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
+    recordings = record(scenario, config, config.train_runs)
+    meter = _Meter(sum(task.iterations for task in tasks) * config.population, progress)
+    for likelihood in (True, False):
+        chosen = [task for task in tasks if task.likelihood == likelihood]
+        if chosen:
+            with make_objective(scenario, config, recordings, likelihood, jobs or os.cpu_count() or 1) as objective:
+                for task in chosen:
+                    _search(task, config, objective, folder, deadline, meter)
+    if only is None:
+        from testbed.tuning.tables import write_tables
+
+        write_tables(folder, scenario, config, tasks, recordings)
+        _manifest(folder, scenario, config, finished=True)
+    return folder
+
+
+def _search(
+    task: Task, config: TuneConfig, objective: Objective, folder: Path, deadline: float | None, meter: _Meter
+) -> None:
+    """Run or complete one search."""
+    history = History(folder / "evaluations" / f"{task.name}.parquet", objective.space.names)
+    settings = config.settings.get(task.algorithm)
+    search = make_search(task.algorithm, objective.space.bounds, config.population, task.iterations, task.seed, settings)
+    watch = StopRule(config)
+    try:
+        while not search.done:
+            x = search.ask()
+            f = history.recall(x)
+            fresh = f is None
+            if f is None:
+                if deadline is not None and time.monotonic() > deadline:
+                    raise Stopped(f"{folder}: time is up in {task.name}; the same command with --resume goes on")
+                start = time.perf_counter()
+                f = objective(x)
+                history.add(x, f, time.perf_counter() - start)
+            search.tell(f)
+            stop = watch.stops(f)
+            meter.add(len(f), task.name, watch.best, fresh)
+            if stop:
+                break
+    except KeyboardInterrupt:
+        raise Stopped(f"{folder}: stopped in {task.name}; the same command with --resume goes on") from None
+    finally:
+        history.save()
+        search.close()
+    x, f, _ = history.all()
+    meter.skip(task.iterations * config.population - len(f))
+    best = int(f.argmin())
+    header = f"# Best of {len(f)} evaluations by {task.name}: {'-2 log likelihood per fix' if task.likelihood else 'objective'} {f[best]:.6g}\n"
+    write_atomic(folder / "best" / f"{task.name}.toml", (header + parameter_file(objective, x[best])).encode())
+
+
+def parameter_file(objective: Objective, x: Any) -> str:
+    """A point of the space as the text of a file that ``params_file`` of a scenario can name."""
+    params = objective.fixed | objective.space.decode(x)
+    return dump_toml({"params": {k: list(v) if isinstance(v, tuple) else v for k, v in params.items() if v is not None}})
+
+
+class StopRule:
+    """Looks at each whole iteration: target reached, or no improvement for ``stall`` of them."""
+
+    def __init__(self, config: TuneConfig) -> None:
+        self._target, self._stall, self._population = config.target, config.stall, config.population
+        self.best = float("inf")
+        self._count = self._improved_at = 0
+
+    def stops(self, f: Any) -> bool:
+        """Take new values; whether the search should end."""
+        self._count += len(f)
+        if f.min() < self.best:
+            self.best, self._improved_at = float(f.min()), self._count
+        if self._count % self._population:
+            return False
+        reached = self._target is not None and self.best <= self._target
+        return reached or (self._stall is not None and self._count - self._improved_at >= self._stall * self._population)
+
+
+class _Meter:
+    """Counts evaluations and estimates the time left from those that were not recalled."""
+
+    def __init__(self, total: int, tell: Callable[[Progress], None] | None) -> None:
+        self.total, self._tell = total, tell
+        self._done = self._fresh = 0
+        self._start = time.monotonic()
+
+    def add(self, count: int, search: str, best: float, fresh: bool) -> None:
+        self._done += count
+        self._fresh += count if fresh else 0
+        if not fresh and self._fresh == 0:
+            self._start = time.monotonic()
+        if self._tell is not None:
+            rate = self._fresh / max(time.monotonic() - self._start, 1e-9)
+            left = (self.total - self._done) / rate if self._fresh else None
+            self._tell(Progress(self._done, self.total, search, best, left))
+
+    def skip(self, count: int) -> None:
+        """A search that stopped early leaves so many evaluations out."""
+        self.total -= count
+
+
+def _open(out: Path, scenario: Scenario, config: TuneConfig, resume: bool) -> Path:
+    """Make or reopen the folder."""
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file, not a folder for results")
+    previous = read_manifest(out)
+    if previous is None:
+        if out.is_dir() and any(out.iterdir()):
+            raise InputError(f"{out}: is not empty and holds no tuning study; give another --out")
+    elif previous["identity"] != identity(scenario, config):
+        if resume or any((out / "evaluations").glob("*.parquet")):
+            raise InputError(f"{out}: holds a study of another scenario, space or objective; give another --out")
+    elif not resume and any((out / "evaluations").glob("*.parquet")):
+        raise InputError(f"{out}: already holds this study; complete it with --resume, delete the folder, or give another --out")
+    _manifest(out, scenario, config, finished=False)
+    write_atomic(out / "scenario.toml", scenario.to_toml().encode())
+    return out
+
+
+def identity(scenario: Scenario, config: TuneConfig) -> str:
+    """Hash of all that determines the value of a candidate and the course of a search."""
+    data = scenario.to_data()
+    for key in ("claims", "tables", "scenario"):
+        data.pop(key, None)
+    data["monte_carlo"].pop("runs")
+    data["estimators"] = [tuned_entry(scenario, config).model_dump(mode="json")]
+    data["extra"] = {k: v for k, v in config.model_dump(mode="json").items() if k not in FREE}
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def read_manifest(folder: Path) -> dict[str, Any] | None:
+    """The manifest of a study, or None where the folder is none."""
+    try:
+        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return manifest if isinstance(manifest, dict) and manifest.get("kind") == KIND else None
+
+
+def _manifest(folder: Path, scenario: Scenario, config: TuneConfig, finished: bool) -> None:
+    import testbed
+    from testbed.runner import git_revision
+
+    write_json(
+        folder / "manifest.json",
+        {
+            "kind": KIND,
+            "identity": identity(scenario, config),
+            "finished": finished,
+            "scenario": scenario.name,
+            "title": scenario.scenario.title,
+            "variant": scenario.variant,
+            "profile": scenario.profile,
+            "estimator": tuned_entry(scenario, config).row,
+            "space": scenario_space(scenario, config).names,
+            "tune": config.model_dump(mode="json"),
+            "cores": os.cpu_count(),
+            "testbed": testbed.__version__,
+            "git": git_revision(),
+        },
+    )
+
+
+def finished_tasks(folder: Path, config: TuneConfig) -> Iterator[Task]:
+    """The searches of a study that have a result."""
+    return (task for task in tasks_of(config) if (folder / "best" / f"{task.name}.toml").is_file())
