@@ -65,7 +65,9 @@ def network_step(inputs, mean, inverse_std, w_in, b_in, curved, w_lstm, b_lstm, 
         for j in range(len(hidden)):
             hidden[j] = logistic(hidden[j])
     for layer in range(len(h)):
-        lstm_layer(w_lstm[layer], b_lstm[layer], hidden if layer == 0 else h[layer - 1], h[layer], c[layer], joined, gates)
+        lstm_layer(
+            w_lstm[layer], b_lstm[layer], hidden if layer == 0 else h[layer - 1], h[layer], c[layer], joined, gates
+        )
     affine(w_out, b_out, h[len(h) - 1], out)
 
 
@@ -85,7 +87,23 @@ def gather(z, x, state, k, inputs):
 
 @njit(cache=True)
 def filter_log_corrected(
-    gyro, accel, mag, mag_row, field_n, model, state, p, stride, states, std, snapshot, z_kept, s_kept, network, scale, changed
+    gyro,
+    accel,
+    mag,
+    mag_row,
+    field_n,
+    model,
+    state,
+    p,
+    stride,
+    states,
+    std,
+    snapshot,
+    z_kept,
+    s_kept,
+    network,
+    scale,
+    changed,
 ):
     """`ahrs_kernels.filter_log` with the gain K + scale * network(z, x, K) in the correction.
 

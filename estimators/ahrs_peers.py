@@ -40,7 +40,9 @@ def _package() -> Any:
     try:
         import ahrs
     except ImportError:
-        raise InputError("the peers madgwick, mahony and ahrs-ekf need the package ahrs: pip install 'navigation-testbed[peers]'") from None
+        raise InputError(
+            "the peers madgwick, mahony and ahrs-ekf need the package ahrs: pip install 'navigation-testbed[peers]'"
+        ) from None
     return ahrs.filters
 
 

@@ -90,7 +90,9 @@ class GainNetwork(nn.Module):
         self.register_buffer("std", std)
         self.register_buffer("scale", scale)
 
-    def forward(self, inputs: Tensor, memory: list[tuple[Tensor, Tensor]]) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
+    def forward(
+        self, inputs: Tensor, memory: list[tuple[Tensor, Tensor]]
+    ) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
         """Change of the transposed gain (B,6,12), and the memory after this step."""
         x = self.input(((inputs - self.mean) / self.std).clamp(-float(CLIP), float(CLIP)))
         if self.curved:
@@ -168,7 +170,9 @@ class BatchFilter:
         p = p - y.transpose(1, 2) @ y
         return k, 0.5 * (p + p.transpose(1, 2))
 
-    def step(self, b: Batch, n: int, network: GainNetwork | None, memory: list[tuple[Tensor, Tensor]]) -> list[tuple[Tensor, Tensor]]:
+    def step(
+        self, b: Batch, n: int, network: GainNetwork | None, memory: list[tuple[Tensor, Tensor]]
+    ) -> list[tuple[Tensor, Tensor]]:
         """Filter sample ``n`` of every window; the state in ``b`` and the memory go on."""
         turn = self.rotation((b.gyro[:, n] - b.bias) * self.dt)
         c_nb = b.c_nb @ turn
@@ -268,7 +272,9 @@ def normalisation(flights: Sequence[Prepared]) -> dict[str, NDArray[np.float32]]
     return {key: v.astype(np.float32) for key, v in {"mean": mean, "std": std, "scale": scale}.items()}
 
 
-def make_batch(windows: Sequence[tuple[Prepared, int]], rows: int, device: torch.device, dtype: torch.dtype = torch.float32) -> Batch:
+def make_batch(
+    windows: Sequence[tuple[Prepared, int]], rows: int, device: torch.device, dtype: torch.dtype = torch.float32
+) -> Batch:
     """Load windows that start at rows that are multiples of the stride."""
     from testbed.rotations import quats_to_matrices
 
@@ -350,12 +356,16 @@ class _Training:
         for epoch in range(first, self.settings.epochs):
             error = self._epoch(epoch)
             valid = self._validate()
-            self.curve.append({"epoch": epoch + 1, "train_tilt_deg": error, "validation_deg": valid, "updates": self.updates})
+            self.curve.append(
+                {"epoch": epoch + 1, "train_tilt_deg": error, "validation_deg": valid, "updates": self.updates}
+            )
             self._keep_best(valid, epoch)
             self._save(epoch + 1)
             spent = time.monotonic() - started
             left = spent / (epoch + 1 - first) * (self.settings.epochs - epoch - 1)
-            self.tell(f"epoch {epoch + 1} of {self.settings.epochs}: training {error:.4f} deg, validation {valid:.4f} deg, {left:.0f} s left")
+            self.tell(
+                f"epoch {epoch + 1} of {self.settings.epochs}: training {error:.4f} deg, validation {valid:.4f} deg, {left:.0f} s left"
+            )
         return self.folder / "ahrs-lstm.safetensors"
 
     @property
@@ -367,7 +377,10 @@ class _Training:
         rng = np.random.default_rng((self.settings.seed, epoch))
         windows = []
         for flight in self.flights:
-            offset = int(rng.integers(0, max(1, min(self.rows, flight.flight.rows - self.rows)) // self.stride + 1)) * self.stride
+            offset = (
+                int(rng.integers(0, max(1, min(self.rows, flight.flight.rows - self.rows)) // self.stride + 1))
+                * self.stride
+            )
             windows += [(flight, start) for start in range(offset, flight.flight.rows - self.rows + 1, self.rows)]
         order = rng.permutation(len(windows))
         size = min(self.settings.batch, len(windows))
@@ -479,7 +492,9 @@ class _Training:
             arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
             state = {key: json.loads(value) for key, value in file.metadata().items()}
         if state["settings"] != asdict(self.settings) or state["filter"] != asdict(self.kf):
-            raise InputError(f"{self._checkpoint}: was made with other settings; train without --resume, or in another folder")
+            raise InputError(
+                f"{self._checkpoint}: was made with other settings; train without --resume, or in another folder"
+            )
         self.network.load_state_dict({k[8:]: torch.as_tensor(v) for k, v in arrays.items() if k.startswith("network.")})
         entries: dict[int, dict[str, Tensor]] = {}
         for key, value in arrays.items():

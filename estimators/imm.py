@@ -7,7 +7,7 @@ probabilities by default; loop in `imm_kernels`. Coordinates as `direct`; SI uni
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -197,7 +197,7 @@ class ImmEkf(DirectFilter):
         used = filter_log(*timeline, *fixes, task.x.copy(), task.p.copy(), *belief, (*task.outputs, figures))
         names = ("mode_probability", "test_statistic", "fading_factor")
         extras = {name: (task.gnss_t[:used], figures[:used, i]) for i, name in enumerate(names)}
-        return task.solution(used, extras)
+        return replace(task.solution(used, extras), extra_names=dict.fromkeys(extras, tuple(self.branch_names())))
 
 
 @dataclass(frozen=True)

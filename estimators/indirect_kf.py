@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +113,9 @@ class IndirectKf:
         return np.tile(np.maximum(self.measurement_noise, MINIMUM_STD) * scales, (len(gnss.t), 1))
 
     @staticmethod
-    def searcher(log: SensorLog, reference: Trajectory, stride: int = 10) -> Callable[[IndirectKf], tuple[Array, float]]:
+    def searcher(
+        log: SensorLog, reference: Trajectory, stride: int = 10
+    ) -> Callable[[IndirectKf], tuple[Array, float]]:
         """For tuners: what one log gives with many settings, see `estimators.indirect_search.searcher`."""
         from estimators.indirect_search import searcher
 
@@ -125,9 +127,9 @@ class IndirectKf:
         return start_vector(log), noise.covariance, self.process_std(log) ** 2, noise.decay, noise.bias_mean
 
 
-def _positive(value: object) -> bool:
+def _positive(value: Any) -> bool:
     try:
-        return bool(np.all(np.isfinite(value)) and np.all(np.asarray(value) > 0.0))  # type: ignore[arg-type, operator]
+        return bool(np.all(np.isfinite(value)) and np.all(np.asarray(value) > 0.0))
     except TypeError:
         return False
 

@@ -16,7 +16,16 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from estimators.direct import Array, DirectProblem, check_range
-from estimators.narx_networks import CANDIDATES, P_DP, SINCE_RESET, Drift, DriftNetworks, Structure, select_inputs, select_lags
+from estimators.narx_networks import (
+    CANDIDATES,
+    P_DP,
+    SINCE_RESET,
+    Drift,
+    DriftNetworks,
+    Structure,
+    select_inputs,
+    select_lags,
+)
 from estimators.networks.levenberg_marquardt import Training
 from estimators.working_copy import Fixes, Kind, WorkingCopy
 from testbed.errors import InputError
@@ -77,7 +86,9 @@ class NarxAiding:
         if self.filter not in ("ekf", "ukf"):
             raise InputError(f"{self.name}: filter is '{self.filter}', expected 'ekf' or 'ukf'")
         if isinstance(self.inputs, str) and self.inputs not in ("mrmr", "all", "p-dp", "since-reset"):
-            raise InputError(f"{self.name}: inputs is '{self.inputs}', expected 'mrmr', 'all', 'p-dp', 'since-reset' or a list")
+            raise InputError(
+                f"{self.name}: inputs is '{self.inputs}', expected 'mrmr', 'all', 'p-dp', 'since-reset' or a list"
+            )
         ranges = {
             "input_count": (1, 17),
             "output_lags": (-1, 10),
@@ -100,7 +111,9 @@ class NarxAiding:
         """Choose inputs and lags, train, and take the statistics, on flights without outages. Truth is not looked at."""
         drifts = [drift for log, _ in flights for drift in self.lessons(log)]
         if len(drifts) < HELD_BACK:
-            raise InputError(f"{self.name}: {len(drifts)} windows of {self.longest_outage_s:g} s to learn from, needs {HELD_BACK}")
+            raise InputError(
+                f"{self.name}: {len(drifts)} windows of {self.longest_outage_s:g} s to learn from, needs {HELD_BACK}"
+            )
         held_back = drifts[HELD_BACK - 1 :: HELD_BACK]
         known = [drift for k, drift in enumerate(drifts) if k % HELD_BACK != HELD_BACK - 1]
         networks = DriftNetworks(self.structure(known)).train(known, self._offline())
@@ -158,7 +171,9 @@ class NarxAiding:
         if ny >= 0 and nu >= 0:
             return Structure(inputs, ((ny, nu),) * 6, self.neurons, self.seed)
         found = select_lags(drifts, inputs)
-        return Structure(inputs, tuple((ny if ny >= 0 else a, nu if nu >= 0 else b) for a, b in found), self.neurons, self.seed)
+        return Structure(
+            inputs, tuple((ny if ny >= 0 else a, nu if nu >= 0 else b) for a, b in found), self.neurons, self.seed
+        )
 
     def _offline(self) -> Training:
         return Training(epochs=self.epochs, goal=self.goal, decay=self.decay)
@@ -301,7 +316,9 @@ class _Flight:
         free, first, rows = self.main.fork(), self.main.x.copy(), slice(self.main.row, stretch.end)
         main, _ = self.main.run_to(stretch.end, self.fixes, keep=True)
         drift = self._drift(stretch, first, *free.run_to(stretch.end), rows)
-        y = np.vstack([np.zeros(6), self.settings.lacking(self, stretch.t[1:], _at(stretch.t[1:], self.task.t[rows], main))])
+        y = np.vstack(
+            [np.zeros(6), self.settings.lacking(self, stretch.t[1:], _at(stretch.t[1:], self.task.t[rows], main))]
+        )
         return replace(drift, y=y)
 
     def free_drift(self, stretch: Stretch) -> Drift:
@@ -328,7 +345,10 @@ class _Flight:
     def solution(self, outputs: list[tuple[Array, Array]], limits: list[tuple[float, int]]) -> NavSolution:
         """The main copy's answer, with the networks' outputs and the count of what their guard limited."""
         used = int(np.searchsorted(self.fixes.t, self.task.t[-1] + 1e-7, "right"))
-        self.task.outputs[3][:used], self.task.outputs[4][:used] = self.fixes.residuals[:used], self.fixes.covariances[:used]
+        self.task.outputs[3][:used], self.task.outputs[4][:used] = (
+            self.fixes.residuals[:used],
+            self.fixes.covariances[:used],
+        )
         extras = {"test_statistic": (self.fixes.t[:used], self.fixes.figures[:used, 0])}
         if outputs:
             extras["network_output"] = tuple(np.concatenate(part) for part in zip(*outputs, strict=True))

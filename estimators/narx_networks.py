@@ -143,7 +143,9 @@ class DriftNetworks:
         return cls(structure, networks, np.array(own["mean"]), np.array(own["std"]), own["growth"]), meta
 
 
-def select_inputs(drifts: Sequence[Drift], count: int, candidates: Sequence[str] = CANDIDATES) -> tuple[tuple[str, ...], ...]:
+def select_inputs(
+    drifts: Sequence[Drift], count: int, candidates: Sequence[str] = CANDIDATES
+) -> tuple[tuple[str, ...], ...]:
     """The ``count`` best inputs of each target by MRMR with the thesis's score."""
     return tuple(tuple(r.name for r in ranking[:count]) for ranking in rankings(drifts, candidates).values())
 

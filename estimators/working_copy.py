@@ -88,7 +88,9 @@ class WorkingCopy:
         out = (states, variances, snapshots, fixes.residuals[some], fixes.covariances[some], fixes.figures[some])
         timeline, given = (start, t, task.imu[rows]), (fixes.t[some], fixes.z[some], fixes.r[some])
         if self.kind == "ukf":
-            ukf_kernels.filter_log(*timeline, *given, self.x, self.p, task.noise, task.setting, UNSCENTED, task.every, out)
+            ukf_kernels.filter_log(
+                *timeline, *given, self.x, self.p, task.noise, task.setting, UNSCENTED, task.every, out
+            )
         else:
             tracking = (1.0, np.inf)
             model = (strong_tracking.EKF, task.noise, task.setting, tracking, task.every, out)

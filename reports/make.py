@@ -17,7 +17,16 @@ SCENARIOS: dict[str, list[str | None]] = {
     "kfann-2018": [None, "magnitude-matched"],
 }
 """Paper scenarios and the variants that are reported (None: as the file stands)."""
-KEPT = ("report.html", "report.md", "tables.tex", "summary.csv", "claims.csv", "timings.csv", "consistency.csv", "manifest.json")
+KEPT = (
+    "report.html",
+    "report.md",
+    "tables.tex",
+    "summary.csv",
+    "claims.csv",
+    "timings.csv",
+    "consistency.csv",
+    "manifest.json",
+)
 
 
 def main(names: list[str]) -> None:

@@ -38,7 +38,26 @@ _HOME = {
     "testbed.scenario": ("Scenario", "list_scenarios", "load_scenario"),
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names}
-__all__ = sorted(_MODULE)  # noqa: PLE0605
+__all__ = [
+    "FlightError",
+    "InputError",
+    "InitialState",
+    "NavSolution",
+    "Scenario",
+    "SensorErrors",
+    "SensorLog",
+    "TestbedError",
+    "Trajectory",
+    "fly",
+    "list_estimators",
+    "list_scenarios",
+    "load_plugin",
+    "load_scenario",
+    "make_estimator",
+    "run",
+    "score",
+    "sense",
+]
 
 
 def __getattr__(name: str) -> Any:

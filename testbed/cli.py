@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from testbed import completion
+
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
 
@@ -23,11 +25,22 @@ app = typer.Typer(
     help="JSBSim flies a scripted manoeuvre, sensor models record it, every navigation filter is scored on the same recording.",
 )
 
-ScenarioArgument = Annotated[str, typer.Argument(metavar="SCENARIO", help="Path of a TOML file, or the name of a shipped one.")]
-ProfileOption = Annotated[str | None, typer.Option("--profile", help="Overlay of the scenario, for example smoke or paper.")]
-VariantOption = Annotated[str | None, typer.Option("--variant", help="Variant of the scenario.")]
+_SCENARIO = typer.Argument(
+    metavar="SCENARIO", help="Path of a TOML file, or the name of a shipped one.", autocompletion=completion.scenarios
+)
+ScenarioArgument = Annotated[str, _SCENARIO]
+ProfileOption = Annotated[
+    str | None,
+    typer.Option(
+        "--profile", help="Overlay of the scenario, for example smoke or paper.", autocompletion=completion.profiles
+    ),
+]
+VariantOption = Annotated[
+    str | None, typer.Option("--variant", help="Variant of the scenario.", autocompletion=completion.variants)
+]
 SetOption = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting, e.g. sensors.imu.rate_hz=200.")
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting, e.g. sensors.imu.rate_hz=200."),
 ]
 PluginOption = Annotated[list[Path] | None, typer.Option("--plugin", help="Python file with your own estimators.")]
 SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed in place of the scenario's.")]
@@ -71,21 +84,37 @@ def _load_plugins(plugins: list[Path] | None) -> None:
 
 @app.command("run")
 def run_command(
-    scenario: Annotated[str | None, typer.Argument(metavar="SCENARIO", help="Path of a TOML file, or the name of a shipped one.")] = None,
-    runs: Annotated[str | None, typer.Option(help="Number of Monte Carlo runs, or 'auto' to stop when the claims are settled.")] = None,
+    scenario: Annotated[str | None, _SCENARIO] = None,
+    runs: Annotated[
+        str | None, typer.Option(help="Number of Monte Carlo runs, or 'auto' to stop when the claims are settled.")
+    ] = None,
     seed: SeedOption = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes; default: one per core.")] = None,
-    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, e.g. tcp://host:8786.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, e.g. tcp://host:8786.")
+    ] = None,
     profile: ProfileOption = None,
     variant: VariantOption = None,
-    estimators: Annotated[str | None, typer.Option(metavar="A,B", help="Only these rows of the scenario (or further estimators).")] = None,
+    estimators: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B",
+            help="Only these rows of the scenario (or further estimators).",
+            autocompletion=completion.estimators,
+        ),
+    ] = None,
     settings: SetOption = None,
     out: OutOption = None,
     resume: Annotated[bool, typer.Option("--resume", help="Complete what is missing in an earlier result.")] = False,
     timeout: Annotated[float | None, typer.Option(min=0.1, help="Longest time of one estimator on one run, s.")] = None,
     sweep: Annotated[list[str] | None, typer.Option(metavar="KEY=V1,V2", help="Run a grid over settings.")] = None,
-    width: Annotated[float, typer.Option(help="With --runs auto: interval width of every claim, percentage points.")] = 10.0,
+    width: Annotated[
+        float, typer.Option(help="With --runs auto: interval width of every claim, percentage points.")
+    ] = 10.0,
     cap: Annotated[int, typer.Option(help="With --runs auto: most runs.")] = 1000,
+    report: Annotated[
+        bool, typer.Option("--report/--no-report", help="Render the report; the tables are always written.")
+    ] = True,
     plugin: PluginOption = None,
 ) -> None:
     """Fly, sense, estimate, score over many seeds; print the table and write the report."""
@@ -108,6 +137,7 @@ def run_command(
         sweep=sweep,
         width=width,
         cap=cap,
+        report=report,
         plugins=plugin or [],
     )
 
@@ -155,7 +185,7 @@ def allan_command(
 
 @app.command("import")
 def import_command(
-    format: Annotated[str, typer.Argument(help="navego, table or ulog.")],
+    format: Annotated[str, typer.Argument(help="navego, table or ulog.", autocompletion=completion.formats)],
     files: Annotated[list[Path], typer.Argument(help="The recording: a folder or files.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for the sensor log.")],
 ) -> None:
@@ -189,7 +219,9 @@ def compare_command(
 
 @app.command("list")
 def list_command(
-    what: Annotated[str, typer.Argument(help="scenarios, aircraft, sensors or estimators.")],
+    what: Annotated[
+        str, typer.Argument(help="scenarios, aircraft, sensors or estimators.", autocompletion=completion.listable)
+    ],
     plugin: PluginOption = None,
 ) -> None:
     """What the bench ships and finds."""
@@ -197,6 +229,18 @@ def list_command(
 
     _load_plugins(plugin)
     commands.show(what)
+
+
+@app.command("new")
+def new_command(
+    kind: Annotated[str, typer.Argument(help="estimator or scenario.", autocompletion=completion.starting_files)],
+    name: Annotated[str, typer.Argument(help="Its name; the file goes into this folder.")],
+) -> None:
+    """A commented starting file that runs as it is."""
+    from testbed.new import command_for, new_file
+
+    path = new_file(kind, name)
+    print(f"{path}; try it with: {command_for(kind, path, name)}")
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ def run(
     sweep: list[str] | None,
     width: float,
     cap: int,
+    report: bool = True,
     **options: Any,
 ) -> None:
     """``testbed run``: the Monte Carlo, the table on screen, the report. ``load`` makes the scenario from overrides."""
@@ -47,7 +48,9 @@ def run(
     scenario = _choose_estimators(load({}), estimators)
     folder = out or Path("results") / scenario.name
     if sweep:
-        _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=_run_count(runs), **options)
+        _sweep(
+            lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=_run_count(runs), **options
+        )
         return
     count = testbed.runner.Auto(width, cap) if runs == "auto" else _run_count(runs)
     with progress_line("runs") as tell:
@@ -55,8 +58,9 @@ def run(
     print_summary(scenario, result.summary, result.runs)
     if not result.claims.empty:
         print_claims(result.claims)
-    render(folder)
-    print(f"report: {folder / 'report.html'}")
+    if report:
+        render(folder)
+    print(f"report: {folder / 'report.html'}" if report else f"tables: {folder}; the report: testbed report {folder}")
 
 
 def _sweep(load: Callable[[Mapping[str, Any]], Scenario], grid: list[str], folder: Path, **options: Any) -> None:
@@ -104,9 +108,23 @@ def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
 def progress_line(what: str) -> Iterator[Callable[[int, int], None]]:
     """A progress bar with rate and time left on a terminal; plain lines, one per tenth, elsewhere."""
     if sys.stderr.isatty():
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
 
-        columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+        columns = (
+            TextColumn(what),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+        )
         from rich.console import Console
 
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
@@ -137,7 +155,10 @@ def print_summary(scenario: Scenario, summary: pd.DataFrame, runs: pd.DataFrame)
     chosen = summary[(summary["window"] == "all") & summary["metric"].isin(list(TABLE_METRICS))]
     wide = chosen.pivot(index="estimator", columns="metric", values="mean")
     statuses = runs.groupby("estimator")["status"].agg(lambda s: int((s != "ok").sum()))
-    table = Table(title=f"{scenario.scenario.title or scenario.name}: RMSE, mean of {runs['run'].nunique()} runs", title_justify="left")
+    table = Table(
+        title=f"{scenario.scenario.title or scenario.name}: RMSE, mean of {runs['run'].nunique()} runs",
+        title_justify="left",
+    )
     table.add_column("estimator")
     columns = [metric for metric in TABLE_METRICS if metric in wide]
     for metric in columns:
@@ -164,7 +185,9 @@ def print_claims(claims: pd.DataFrame) -> None:
         table.add_column(column, justify="left" if column in ("claim", "verdict") else "right")
     for row in claims.to_dict("records"):
         measured, low, high = (_number(row[key], ".1f") for key in ("measured_pct", "ci_low", "ci_high"))
-        table.add_row(row["text"] or row["id"], _number(row["paper_pct"], ".0f"), measured, f"{low} to {high}", row["verdict"])
+        table.add_row(
+            row["text"] or row["id"], _number(row["paper_pct"], ".0f"), measured, f"{low} to {high}", row["verdict"]
+        )
     Console(width=None if sys.stdout.isatty() else 140).print(table)
 
 
@@ -207,7 +230,9 @@ def fly(scenario: Scenario, out: Path | None) -> None:
     with fresh_folder(folder) as scratch:
         for kind, suffix in (("parquet", "parquet"), ("csv", "csv"), ("kml", "kml"), ("navego", "mat")):
             export_trajectory(trajectory, scratch / f"trajectory.{suffix}", kind)
-    print(f"{trajectory.t[-1] - trajectory.t[0]:g} s in {len(trajectory.t)} samples, {len(trajectory.phases)} manoeuvres: {folder}")
+    print(
+        f"{trajectory.t[-1] - trajectory.t[0]:g} s in {len(trajectory.t)} samples, {len(trajectory.phases)} manoeuvres: {folder}"
+    )
 
 
 def sense(scenario: Scenario, out: Path | None) -> None:

@@ -214,7 +214,12 @@ def write_shard(path: Path, log: SensorLog, trajectory: Trajectory, meta: dict[s
 
     if log.mag is None or len(log.mag.t) != len(log.imu.t) or np.abs(log.mag.t - log.imu.t).max() > 1e-6:
         raise InputError("a data set needs a magnetometer that samples with the IMU, at the same rate")
-    groups = {"gyro": log.imu.gyro, "accel": log.imu.accel, "mag": log.mag.field, "q_nb": truth_at(trajectory, log.imu.t)[4]}
+    groups = {
+        "gyro": log.imu.gyro,
+        "accel": log.imu.accel,
+        "mag": log.mag.field,
+        "q_nb": truth_at(trajectory, log.imu.t)[4],
+    }
     columns = {"time_s": log.imu.t.astype(np.float64)}
     for name, values in groups.items():
         columns |= {f"{name}_{i}": values[:, i].astype(np.float32) for i in range(values.shape[1])}

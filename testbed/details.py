@@ -16,7 +16,7 @@ import numpy as np
 
 from testbed import rotations, specs
 from testbed.metrics import AXES, ErrorSeries
-from testbed.records import Array, NavSolution, SensorLog, Trajectory
+from testbed.records import GNSS_CHANNELS, Array, NavSolution, SensorLog, Trajectory
 from testbed.scenario import EstimatorConfig, Scenario
 
 if TYPE_CHECKING:
@@ -31,13 +31,17 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
     """File name -> content: ``truth.parquet``, ``errors-<slug>.parquet``, ``innovations-``, ``extras-``, ``info.json``."""
     files = {"truth.parquet": _parquet(_thin(trajectory.to_frame()))}
     slugs = _slugs([entry.row for entry in scenario.estimators])
+    channels: dict[str, list[str]] = {}
+    components: dict[str, dict[str, list[str]]] = {}
     for entry, solution, series in solved:
         slug = slugs[entry.row]
         files[f"errors-{slug}.parquet"] = _parquet(_thin(_errors_frame(solution, series)))
         if solution.innovations is not None and len(solution.innovations.t):
             files[f"innovations-{slug}.parquet"] = _parquet(_thin(_innovations_frame(solution)))
+            channels[entry.row] = list(solution.innovations.names or GNSS_CHANNELS)
         if solution.extras:
             files[f"extras-{slug}.parquet"] = _parquet(_extras_frame(solution))
+            components[entry.row] = {name: list(columns) for name, columns in solution.extra_names.items()}
     if log.gnss is not None:
         files["gnss.parquet"] = _parquet(_thin(log.frames()["gnss"]))
     sensors = {
@@ -52,6 +56,8 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
         "phases": [[p.name, p.start, p.end] for p in trajectory.phases],
         "outages": [list(o) for o in log.gnss.outages] if log.gnss is not None else [],
         "estimators": slugs,
+        "innovations": channels,
+        "components": components,
         "sensors": sensors,
         "units": "specifications in SI units: rad/s, m/s², m, µT, Pa; noise densities per √Hz",
     }

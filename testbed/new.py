@@ -5,6 +5,7 @@ The files under ``templates/`` are themselves valid; only the names in them are 
 
 from __future__ import annotations
 
+import keyword
 import re
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -47,6 +48,8 @@ def _estimator(name: str) -> tuple[str, str]:
         raise InputError(f"{module}.py would hide the Python module '{module}'; give another name")
     text = (TEMPLATES / "estimator.py").read_text(encoding="utf-8")
     title = "".join(word[0].upper() + word[1:] for word in re.split("[_-]", name))
+    if keyword.iskeyword(title) or re.search(rf"\b{title}\b", text):
+        title += "Estimator"
     return f"{module}.py", text.replace("my-estimator", name).replace("MyEstimator", title)
 
 

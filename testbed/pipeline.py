@@ -36,7 +36,9 @@ def _named(scenario: Scenario, section: str) -> Iterator[None]:
 def flight_varies(scenario: Scenario) -> bool:
     """Whether each Monte Carlo run needs a flight of its own."""
     vary = scenario.monte_carlo.vary
-    return scenario.flight is not None and ("turbulence" in vary or ("manoeuvres" in vary and bool(scenario.monte_carlo.disperse)))
+    return scenario.flight is not None and (
+        "turbulence" in vary or ("manoeuvres" in vary and bool(scenario.monte_carlo.disperse))
+    )
 
 
 def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig, int]:
@@ -50,7 +52,11 @@ def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig, int]:
         data = config.model_dump(mode="json", exclude_none=True)
         for key, distribution in settings.disperse.items():
             rng = stream(settings.seed, run, f"flight.{key}")
-            draw = rng.normal(*distribution.normal) if distribution.normal else rng.uniform(*(distribution.uniform or (0.0, 0.0)))
+            draw = (
+                rng.normal(*distribution.normal)
+                if distribution.normal
+                else rng.uniform(*(distribution.uniform or (0.0, 0.0)))
+            )
             set_key(data, key, float(draw), f"{scenario.source_path}: monte_carlo.disperse")
         config = validate(FlightConfig, data, f"{scenario.source_path}: flight of run {run}")
     seed = settings.seed + run if "turbulence" in settings.vary else settings.seed
@@ -67,7 +73,9 @@ def fly(scenario: Scenario, run: int = 0) -> Trajectory:
 
         reference = load_recording(scenario.recording, scenario.folder).reference
         if reference is None:
-            raise InputError(f"{scenario.source_path}: this recording has no reference trajectory, so nothing can be scored")
+            raise InputError(
+                f"{scenario.source_path}: this recording has no reference trajectory, so nothing can be scored"
+            )
         return reference
     from testbed.flight import fly_flight
 

@@ -65,7 +65,9 @@ class Trajectory:
     name: str = ""
 
     def __post_init__(self) -> None:
-        _check(self, "Trajectory", {"lat": (), "lon": (), "h": (), "v_n": (3,), "q_nb": (4,), "f_b": (3,), "w_ib_b": (3,)})
+        _check(
+            self, "Trajectory", {"lat": (), "lon": (), "h": (), "v_n": (3,), "q_nb": (4,), "f_b": (3,), "w_ib_b": (3,)}
+        )
         for key, values in self.extra.items():
             if np.shape(values) != self.t.shape:
                 raise InputError(f"Trajectory: extra column '{key}' has shape {np.shape(values)}, not {self.t.shape}")
@@ -214,7 +216,9 @@ class SensorLog:
         if (gnss := self.gnss) is not None:
             lla = {"time_s": gnss.t, "lat_deg": np.degrees(gnss.lat), "lon_deg": np.degrees(gnss.lon), "alt_m": gnss.h}
             velocity = _columns("v_{}_mps", ("north", "east", "down"), gnss.v_n)
-            out["gnss"] = pd.DataFrame(lla | velocity | ({} if gnss.std is None else _columns("std_{}", range(6), gnss.std)))
+            out["gnss"] = pd.DataFrame(
+                lla | velocity | ({} if gnss.std is None else _columns("std_{}", range(6), gnss.std))
+            )
         if self.mag is not None:
             out["mag"] = pd.DataFrame({"time_s": self.mag.t} | _columns("mag_{}_ut", "xyz", self.mag.field))
         if self.baro is not None:
@@ -274,13 +278,21 @@ class SensorErrors:
     constants: Mapping[str, Any] = field(default_factory=dict)
 
 
+GNSS_CHANNELS = ("north, m", "east, m", "down, m", "north, m/s", "east, m/s", "down, m/s")
+"""Names of the six channels of a loosely coupled filter's innovation."""
+
+
 @dataclass(frozen=True)
 class Innovations:
-    """Filter innovations: ``t`` (M,), ``value`` (M,m), ``covariance`` (M,m,m), in SI units of the measurement."""
+    """Filter innovations: ``t`` (M,), ``value`` (M,m), ``covariance`` (M,m,m), in SI units of the measurement.
+
+    ``names`` of the m channels, for plots; six unnamed channels are position and velocity of a GNSS fix.
+    """
 
     t: Array
     value: Array
     covariance: Array
+    names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         _check(self, "NavSolution.innovations", {"value": (None,), "covariance": (None, None)}, minimum=0, finite=False)
@@ -310,6 +322,8 @@ class NavSolution:
     covariance: Array | None = None
     innovations: Innovations | None = None
     extras: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    extra_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Names of the columns of an extra, for legends."""
 
     def __post_init__(self) -> None:
         shapes: dict[str, tuple[int | None, ...]] = {"lat": (), "lon": (), "h": (), "v_n": (3,), "q_nb": (4,)}
@@ -346,7 +360,9 @@ class NavSolution:
         )
 
 
-def _check(record: Any, what: str, shapes: dict[str, tuple[int | None, ...]], minimum: int = 2, finite: bool = True) -> None:
+def _check(
+    record: Any, what: str, shapes: dict[str, tuple[int | None, ...]], minimum: int = 2, finite: bool = True
+) -> None:
     """Shapes, finite values and increasing time; None in a shape means any length. Arrays become float64."""
     t = np.ascontiguousarray(record.t, dtype=np.float64)
     object.__setattr__(record, "t", t)

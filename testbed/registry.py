@@ -104,7 +104,9 @@ def load_plugin(path: str | Path) -> list[str]:
     found = {
         kind.name: kind
         for kind in vars(module).values()
-        if inspect.isclass(kind) and isinstance(getattr(kind, "name", None), str) and callable(getattr(kind, "run", None))
+        if inspect.isclass(kind)
+        and isinstance(getattr(kind, "name", None), str)
+        and callable(getattr(kind, "run", None))
         if kind.__module__ == module_name
     }
     if not found:

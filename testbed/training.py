@@ -65,7 +65,9 @@ def _trainer(scenario: Scenario) -> Any:
     raise InputError(f"{scenario.source_path}: none of its estimators is trained beforehand")
 
 
-def _sweep(one: Callable[[dict[str, Any], Path], Path], grid: dict[str, list[Any]], out: Path, tell: Callable[[str], None]) -> Path:
+def _sweep(
+    one: Callable[[dict[str, Any], Path], Path], grid: dict[str, list[Any]], out: Path, tell: Callable[[str], None]
+) -> Path:
     """Train every combination; ``sweep.csv`` has one row for each, with its validation error and that before training."""
     rows = []
     for values in itertools.product(*grid.values()):
@@ -76,7 +78,9 @@ def _sweep(one: Callable[[dict[str, Any], Path], Path], grid: dict[str, list[Any
         with open(folder / "learning-curve.csv", newline="") as file:
             errors = [float(row["validation_deg"]) for row in csv.DictReader(file)]
         improvement = 100.0 * (1.0 - min(errors) / errors[0])
-        rows.append(point | {"untrained_deg": errors[0], "validation_deg": min(errors), "improvement_pct": f"{improvement:.2f}"})
+        rows.append(
+            point | {"untrained_deg": errors[0], "validation_deg": min(errors), "improvement_pct": f"{improvement:.2f}"}
+        )
     table = out / "sweep.csv"
     with open(table, "w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))

@@ -73,7 +73,9 @@ def test_broken_scenarios_are_refused(tmp_path, old, new, words):
 
 
 def test_missing_file_is_refused(tmp_path):
-    check_refused(command_line("run", "absent.toml", "--out", "out", cwd=tmp_path), tmp_path, 2, "absent.toml", "no such")
+    check_refused(
+        command_line("run", "absent.toml", "--out", "out", cwd=tmp_path), tmp_path, 2, "absent.toml", "no such"
+    )
     (tmp_path / "broken.toml").write_text(RECORDING)
     done = command_line("run", "broken.toml", "--out", "out", cwd=tmp_path)
     check_refused(done, tmp_path, 2, "imu")
@@ -119,5 +121,10 @@ def test_help_and_lists_need_no_heavy_import(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stdout.strip().endswith("[]")
-    for what, word in (("scenarios", "quickstart"), ("aircraft", "aerosonde"), ("sensors", "ADIS16448"), ("estimators", "ins")):
+    for what, word in (
+        ("scenarios", "quickstart"),
+        ("aircraft", "aerosonde"),
+        ("sensors", "ADIS16448"),
+        ("estimators", "ins"),
+    ):
         assert word in command_line("list", what, cwd=tmp_path).stdout

@@ -61,7 +61,9 @@ def test_overlays_reach_only_what_they_name(write):
 
 
 def test_settings_stand_above_the_file(write):
-    settings = dict([parse_setting("flight.manoeuvres.0.duration_s=12.5"), parse_setting("sensors.imu.model=ADIS16405")])
+    settings = dict(
+        [parse_setting("flight.manoeuvres.0.duration_s=12.5"), parse_setting("sensors.imu.model=ADIS16405")]
+    )
     scenario = load_scenario(write(), overrides=settings)
     assert scenario.flight.manoeuvres[0].duration_s == 12.5
     assert scenario.sensors.imu.model == "ADIS16405"

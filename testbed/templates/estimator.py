@@ -43,7 +43,9 @@ class MyEstimator:
         first = (start.lat, start.lon, start.h, tuple(start.v_n), tuple(start.q_nb))
         out = np.empty((len(imu.t), 10))
         bias = np.empty((len(imu.t), 3))
-        _navigate(start.t, imu.t, imu.gyro, imu.accel, fixes, first, start.accel_bias, start.gyro_bias, gains, out, bias)
+        _navigate(
+            start.t, imu.t, imu.gyro, imu.accel, fixes, first, start.accel_bias, start.gyro_bias, gains, out, bias
+        )
         # Optional, for NEES, NIS and three-sigma bands: std (N,15), covariance, innovations; see testbed.records.
         return NavSolution(imu.t, out[:, 0], out[:, 1], out[:, 2], out[:, 3:6], out[:, 6:10], gyro_bias=bias)
 

@@ -77,7 +77,12 @@ def progress_line() -> Iterator[Callable[[Progress], None]]:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-        columns: Sequence[Any] = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[left]}"))
+        columns: Sequence[Any] = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[left]}"),
+        )
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task("", total=None, left="")
             yield lambda p: bar.update(
@@ -90,7 +95,9 @@ def progress_line() -> Iterator[Callable[[Progress], None]]:
         nonlocal told_at, told
         if time.monotonic() - told_at > QUIET_S or p.search != told or p.done == p.total:
             told_at, told = time.monotonic(), p.search
-            print(f"{p.search}: {p.done} of {p.total}, best {p.best:.5g}, {_left(p.left_s)}", file=sys.stderr, flush=True)
+            print(
+                f"{p.search}: {p.done} of {p.total}, best {p.best:.5g}, {_left(p.left_s)}", file=sys.stderr, flush=True
+            )
 
     yield tell
 

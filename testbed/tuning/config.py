@@ -28,6 +28,16 @@ class CaseConfig(Table):
     set: dict[str, Any] = {}
 
 
+class PaperRow(Table):
+    """``[[extra.tune.paper]]``: a printed figure per algorithm, to stand beside ours."""
+
+    quantity: str
+    """``fitness``, ``hours``, ``rank_sum``, or CASE:METRIC, for example ``ADIS16405:rmse_yaw_deg``."""
+    statistic: str = ""
+    """``min``, ``max``, ``mean``, ``variance``"""
+    values: dict[str, float]
+
+
 class TuneConfig(Table):
     """``[extra.tune]``"""
 
@@ -60,6 +70,7 @@ class TuneConfig(Table):
     """A search stops after so many iterations without any improvement."""
     innovation_search: Literal["cma-es", "de", "pso", "ga", "none"] = "cma-es"
     """Algorithm of the row that maximises the likelihood of the innovations, which needs no truth."""
+    paper: list[PaperRow] = []
 
     @model_validator(mode="after")
     def _known(self) -> TuneConfig:
@@ -94,7 +105,9 @@ def tuned_entry(scenario: Scenario, config: TuneConfig) -> EstimatorConfig:
     if not config.estimator:
         return scenario.estimators[0]
     if config.estimator not in rows:
-        raise InputError(f"{scenario.source_path}: [extra.tune] estimator: no row '{config.estimator}'; {nearest(config.estimator, rows)}")
+        raise InputError(
+            f"{scenario.source_path}: [extra.tune] estimator: no row '{config.estimator}'; {nearest(config.estimator, rows)}"
+        )
     return rows[config.estimator]
 
 

@@ -53,7 +53,13 @@ FUNCTIONS: dict[str, tuple[Callable[[Array], Array], float, Array | float]] = {
 
 
 def minimise(
-    algorithm: str, function: str, seed: int, dimensions: int = 18, population: int = 50, iterations: int = 200, shift: float = 0.0
+    algorithm: str,
+    function: str,
+    seed: int,
+    dimensions: int = 18,
+    population: int = 50,
+    iterations: int = 200,
+    shift: float = 0.0,
 ) -> float:
     """Best value of one search. ``shift`` moves the minimum, as a part of the half width, away from the box's centre."""
     evaluate, half, _ = FUNCTIONS[function]
@@ -82,7 +88,9 @@ def benchmark_table(
     rows = []
     for function in FUNCTIONS:
         for name in algorithms:
-            values = [minimise(name, function, seed, dimensions, population, iterations, shift) for seed in range(seeds)]
+            values = [
+                minimise(name, function, seed, dimensions, population, iterations, shift) for seed in range(seeds)
+            ]
             rows.append((function, name, np.median(values), np.mean(values), np.min(values), np.max(values)))
             if progress is not None:
                 progress(len(rows), len(FUNCTIONS) * len(algorithms))

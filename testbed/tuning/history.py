@@ -66,7 +66,9 @@ class History:
             return None
         rows = slice(self._replayed, self._replayed + n)
         if not np.array_equal(self.x[rows], x):
-            raise InputError(f"{self.path}: holds another search (candidate {self._replayed} differs); delete it to start anew")
+            raise InputError(
+                f"{self.path}: holds another search (candidate {self._replayed} differs); delete it to start anew"
+            )
         self._replayed += n
         return self.f[rows]
 
@@ -107,7 +109,9 @@ def read_evaluations(path: Path, names: list[str]) -> tuple[Array, Array, Array]
     try:
         table = pq.read_table(path)
     except (pa.ArrowInvalid, OSError) as error:
-        raise InputError(f"{path}: not a readable file of evaluations ({error}); delete it to start this search anew") from None
+        raise InputError(
+            f"{path}: not a readable file of evaluations ({error}); delete it to start this search anew"
+        ) from None
     if table.column_names != [*names, "objective", "seconds"]:
         raise InputError(f"{path}: has the columns {', '.join(table.column_names)}; the space of the search is another")
     x = np.column_stack([table[name].to_numpy() for name in names])

@@ -18,9 +18,7 @@ from testbed.records import Array
 from testbed.tuning.search import Bounds, Steps
 
 
-def cma_es(
-    bounds: Bounds, population: int, iterations: int, rng: np.random.Generator, sigma: float = 0.3
-) -> Steps:
+def cma_es(bounds: Bounds, population: int, iterations: int, rng: np.random.Generator, sigma: float = 0.3) -> Steps:
     """CMA-ES on the unit cube from a random place; ``sigma`` is relative to the width of the box."""
     try:
         import cma

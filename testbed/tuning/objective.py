@@ -53,8 +53,12 @@ def record(scenario: Scenario, config: TuneConfig, runs: Sequence[int]) -> list[
             log, errors = pipeline.sense(made, trajectory, run=run)
             windows = tuple(pipeline.windows_of(made, trajectory, log))
             if config.window not in [w.name for w in windows]:
-                raise InputError(f"{scenario.source_path}: [extra.tune] window: no window '{config.window}' in this scenario")
-            out.append(Recording(case.name, run, log, trajectory, errors, windows, made.monte_carlo.divergence_position_m))
+                raise InputError(
+                    f"{scenario.source_path}: [extra.tune] window: no window '{config.window}' in this scenario"
+                )
+            out.append(
+                Recording(case.name, run, log, trajectory, errors, windows, made.monte_carlo.divergence_position_m)
+            )
     return out
 
 
@@ -113,7 +117,9 @@ class Objective:
 
     def _path(self, stride: int) -> tuple[Callable[[tuple[Mapping[str, Any], int]], float], Executor | None]:
         make_searcher = getattr(estimator_class(self.estimator), "searcher", None)
-        self.fast = make_searcher is not None and self.window == "all" and set(self.metrics) <= {*RMSE_METRICS, DEVIANCE}
+        self.fast = (
+            make_searcher is not None and self.window == "all" and set(self.metrics) <= {*RMSE_METRICS, DEVIANCE}
+        )
         if self.fast and make_searcher is not None:
             searchers = [make_searcher(r.log, r.trajectory, stride) for r in self.recordings]
             return self._threaded(searchers), ThreadPoolExecutor(self.jobs) if self.jobs > 1 else None
@@ -195,5 +201,3 @@ def make_objective(
     return Objective(
         entry.name, entry.params, space, recordings, metrics, config.window, config.stride, config.penalty, jobs
     )
-
-

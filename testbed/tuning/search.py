@@ -109,7 +109,9 @@ def make_search(
         if key not in known:
             raise InputError(f"algorithm '{name}' has no setting '{key}'; {nearest(key, known)}")
     if population < 2 or iterations < 1:
-        raise InputError(f"a search needs a population of at least 2 and 1 iteration, not {population} and {iterations}")
+        raise InputError(
+            f"a search needs a population of at least 2 and 1 iteration, not {population} and {iterations}"
+        )
     return Search(function(bounds, population, iterations, stream(seed, 0, f"tuning.{name}"), **(settings or {})))
 
 

@@ -101,13 +101,17 @@ def make_space(estimator: str, configs: Sequence[AxisConfig], source: str = "") 
     declared: Mapping[str, tuple[float, float, str]] = getattr(kind, "parameter_space", {})
     chosen = list(configs) or [AxisConfig(name=name) for name in declared]
     if not chosen:
-        raise InputError(f"{source}: estimator '{estimator}' declares no parameter_space; name the parameters in [[extra.tune.space]]")
+        raise InputError(
+            f"{source}: estimator '{estimator}' declares no parameter_space; name the parameters in [[extra.tune.space]]"
+        )
     known = parameter_names(kind)
     axes = []
     for config in chosen:
         if known is not None and config.name not in known:
             hint = nearest(config.name, known)
-            raise InputError(f"{source}: [[extra.tune.space]]: estimator '{estimator}' has no parameter '{config.name}'; {hint}")
+            raise InputError(
+                f"{source}: [[extra.tune.space]]: estimator '{estimator}' has no parameter '{config.name}'; {hint}"
+            )
         axes.append(_axis(config, declared.get(config.name), source))
     return Space(tuple(axes))
 
@@ -125,5 +129,7 @@ def _axis(config: AxisConfig, declared: tuple[float, float, str] | None, source:
     if not low < high:
         raise InputError(f"{where}: low = {low:g} must be below high = {high:g}")
     if (log and low <= 0.0) or (config.squared and low < 0.0):
-        raise InputError(f"{where}: low = {low:g} must be {'positive on a log axis' if log else 'at least 0 with squared'}")
+        raise InputError(
+            f"{where}: low = {low:g} must be {'positive on a log axis' if log else 'at least 0 with squared'}"
+        )
     return Axis(config.name, config.size, low, high, log, config.squared)

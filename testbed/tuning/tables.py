@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 KEPT_METRICS = [*RMSE_METRICS, "rmse_position_3d_m", "rmse_velocity_3d_mps", "nees_attitude", "nis", DEVIANCE]
 
 
-def write_tables(folder: Path, scenario: Scenario, config: TuneConfig, tasks: Sequence[Task], seen: Sequence[Recording]) -> None:
+def write_tables(
+    folder: Path, scenario: Scenario, config: TuneConfig, tasks: Sequence[Task], seen: Sequence[Recording]
+) -> None:
     """``searches.csv, history.csv, timings.csv, scores.csv, heldout.csv`` of a complete study."""
     import pandas as pd
 
@@ -36,7 +38,13 @@ def write_tables(folder: Path, scenario: Scenario, config: TuneConfig, tasks: Se
         x, f, seconds = read_evaluations(folder / "evaluations" / f"{task.name}.parquet", names)
         kind = "likelihood" if task.likelihood else "objective"
         best = int(f.argmin())
-        key = {"search": task.name, "algorithm": task.algorithm, "iterations": task.iterations, "seed": task.seed, "kind": kind}
+        key = {
+            "search": task.name,
+            "algorithm": task.algorithm,
+            "iterations": task.iterations,
+            "seed": task.seed,
+            "kind": kind,
+        }
         searches.append(key | {"evaluations": len(f), "best": f[best]} | dict(zip(names, x[best], strict=True)))
         histories.append(per_iteration(f, config.population).assign(search=task.name))
         timings.append({"search": task.name, "seconds": seconds.sum(), "seconds_per_evaluation": seconds.mean()})
@@ -48,7 +56,9 @@ def write_tables(folder: Path, scenario: Scenario, config: TuneConfig, tasks: Se
     _write_csv(heldout(scores, config), folder / "heldout.csv")
 
 
-def _scores(folder: Path, scenario: Scenario, config: TuneConfig, tasks: Sequence[Task], seen: Sequence[Recording]) -> pd.DataFrame:
+def _scores(
+    folder: Path, scenario: Scenario, config: TuneConfig, tasks: Sequence[Task], seen: Sequence[Recording]
+) -> pd.DataFrame:
     """Columns row, case, run, set (train, test), metric, value; a recording is made once and forgotten."""
     import pandas as pd
 
@@ -65,7 +75,9 @@ def _scores(folder: Path, scenario: Scenario, config: TuneConfig, tasks: Sequenc
             found = full_score(entry.name, params, recording, config.window)
             kept = dict.fromkeys([*KEPT_METRICS, *config.metrics])
             rows.extend((row, recording.case, recording.run, which, m, found.get(m, np.inf)) for m in kept)
-        rows.extend(("GNSS alone", recording.case, recording.run, which, m, v) for m, v in gnss_errors(recording).items())
+        rows.extend(
+            ("GNSS alone", recording.case, recording.run, which, m, v) for m, v in gnss_errors(recording).items()
+        )
 
     for recording in seen:
         take(recording, "train")
@@ -115,20 +127,34 @@ def heldout(scores: pd.DataFrame, config: TuneConfig) -> pd.DataFrame:
             entry |= {"test": own.mean(), "diverged": int((~np.isfinite(own)).sum())}
             gain = statistics.improvement(own, base) if row != DATA_SHEET else None
             if gain is not None:
-                entry |= {"improvement_pct": gain.percent, "ci_low": gain.low, "ci_high": gain.high, "p_value": gain.p_value}
+                entry |= {
+                    "improvement_pct": gain.percent,
+                    "ci_low": gain.low,
+                    "ci_high": gain.high,
+                    "p_value": gain.p_value,
+                }
         rows.append(entry)
     columns = ["row", "train", "test", "diverged", "improvement_pct", "ci_low", "ci_high", "p_value"]
     return pd.DataFrame(rows).reindex(columns=columns)
 
 
-STATISTICS = {"min": np.min, "max": np.max, "mean": np.mean, "variance": lambda v: np.var(v, ddof=1) if len(v) > 1 else np.nan}
+STATISTICS = {
+    "min": np.min,
+    "max": np.max,
+    "mean": np.mean,
+    "variance": lambda v: np.var(v, ddof=1) if len(v) > 1 else np.nan,
+}
 """Statistics over the searches of an algorithm, as the paper's Table 2 has them."""
 
 
-def by_algorithm(searches: pd.DataFrame, scores: pd.DataFrame, timings: pd.DataFrame, which: str = "train") -> pd.DataFrame:
+def by_algorithm(
+    searches: pd.DataFrame, scores: pd.DataFrame, timings: pd.DataFrame, which: str = "train"
+) -> pd.DataFrame:
     """One line per search: algorithm, fitness, seconds, and each RMSE of each case (mean over runs) as CASE:METRIC."""
     part = scores[(scores["set"] == which) & scores["metric"].isin(RMSE_METRICS)]
-    wide = part.assign(key=part["case"] + ":" + part["metric"]).pivot_table(index="row", columns="key", values="value", sort=False)
+    wide = part.assign(key=part["case"] + ":" + part["metric"]).pivot_table(
+        index="row", columns="key", values="value", sort=False
+    )
     out = searches[searches["kind"] == "objective"].set_index("search")[["algorithm", "iterations", "best"]]
     return out.rename(columns={"best": "fitness"}).join(timings.set_index("search")["seconds"]).join(wide)
 
@@ -155,7 +181,9 @@ def rank_sums(table: pd.DataFrame) -> pd.DataFrame:
 
     counted = table[(table.index.get_level_values("quantity") != "seconds") & table.notna().all(axis=1)]
     ranks = counted.rank(axis=1)
-    return pd.DataFrame({"rank_sum": ranks.sum(), "rows": len(counted), "place": ranks.sum().rank(method="min").astype(int)})
+    return pd.DataFrame(
+        {"rank_sum": ranks.sum(), "rows": len(counted), "place": ranks.sum().rank(method="min").astype(int)}
+    )
 
 
 def _write_csv(table: pd.DataFrame, path: Path) -> None:

@@ -26,7 +26,7 @@ from testbed.tuning.search import make_search
 KIND = "testbed tuning"
 DATA_SHEET = "data-sheet"
 INNOVATIONS = "innovations"
-FREE = ("algorithms", "iterations", "seeds", "test_runs", "innovation_search")
+FREE = ("algorithms", "iterations", "seeds", "test_runs", "innovation_search", "paper")
 """Keys of ``[extra.tune]`` that may change when a study is resumed: they add searches, or change none."""
 
 
@@ -115,7 +115,9 @@ def _search(
     """Run or complete one search."""
     history = History(folder / "evaluations" / f"{task.name}.parquet", objective.space.names)
     settings = config.settings.get(task.algorithm)
-    search = make_search(task.algorithm, objective.space.bounds, config.population, task.iterations, task.seed, settings)
+    search = make_search(
+        task.algorithm, objective.space.bounds, config.population, task.iterations, task.seed, settings
+    )
     watch = StopRule(config)
     try:
         while not search.done:
@@ -148,7 +150,9 @@ def _search(
 def parameter_file(objective: Objective, x: Any) -> str:
     """A point of the space as the text of a file that ``params_file`` of a scenario can name."""
     params = objective.fixed | objective.space.decode(x)
-    return dump_toml({"params": {k: list(v) if isinstance(v, tuple) else v for k, v in params.items() if v is not None}})
+    return dump_toml(
+        {"params": {k: list(v) if isinstance(v, tuple) else v for k, v in params.items() if v is not None}}
+    )
 
 
 class StopRule:
@@ -167,7 +171,9 @@ class StopRule:
         if self._count % self._population:
             return False
         reached = self._target is not None and self.best <= self._target
-        return reached or (self._stall is not None and self._count - self._improved_at >= self._stall * self._population)
+        return reached or (
+            self._stall is not None and self._count - self._improved_at >= self._stall * self._population
+        )
 
 
 class _Meter:
@@ -205,7 +211,9 @@ def _open(out: Path, scenario: Scenario, config: TuneConfig, resume: bool) -> Pa
         if resume or any((out / "evaluations").glob("*.parquet")):
             raise InputError(f"{out}: holds a study of another scenario, space or objective; give another --out")
     elif not resume and any((out / "evaluations").glob("*.parquet")):
-        raise InputError(f"{out}: already holds this study; complete it with --resume, delete the folder, or give another --out")
+        raise InputError(
+            f"{out}: already holds this study; complete it with --resume, delete the folder, or give another --out"
+        )
     _manifest(out, scenario, config, finished=False)
     write_atomic(out / "scenario.toml", scenario.to_toml().encode())
     return out

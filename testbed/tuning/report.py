@@ -1,0 +1,227 @@
+"""The report of a tuning study: ``findings.md``, tables as CSV, figures. Reads the folder that `testbed.tuning.tune` wrote.
+
+Objective: sum of the scenario's metrics (m, m/s, degrees). The paper's figures stand in ``[[extra.tune.paper]]``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from testbed.errors import InputError
+from testbed.scenario import Scenario, load_scenario
+from testbed.schema import read_toml, validate
+from testbed.tuning import tables
+from testbed.tuning.config import TuneConfig, tuned_entry
+from testbed.tuning.history import write_atomic
+from testbed.tuning.objective import record, scenario_space
+from testbed.tuning.tune import DATA_SHEET, INNOVATIONS, read_manifest
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FULL_TABLE_EVALUATIONS = 450_000
+"""The paper's whole table: six algorithms, 100 to 500 iterations, a population of 50."""
+PAPER_HOURS = 1140.0
+
+
+class Study:
+    """A finished study as read from its folder."""
+
+    def __init__(self, folder: Path) -> None:
+        import pandas as pd
+
+        manifest = read_manifest(folder)
+        if manifest is None:
+            raise InputError(f"{folder}: no tuning study (no manifest.json of one)")
+        if not manifest["finished"]:
+            raise InputError(f"{folder}: this study is not finished; complete it with testbed tune ... --resume")
+        self.folder, self.manifest = folder, manifest
+        self.config: TuneConfig = validate(TuneConfig, manifest["tune"], f"{folder}/manifest.json")
+        self.scenario: Scenario = load_scenario(folder / "scenario.toml")
+        read = {
+            name: pd.read_csv(folder / f"{name}.csv")
+            for name in ("searches", "history", "timings", "scores", "heldout")
+        }
+        self.searches, self.history, self.timings = read["searches"], read["history"], read["timings"]
+        self.scores, self.heldout = read["scores"], read["heldout"]
+        self.algorithms = list(dict.fromkeys(self.searches[self.searches["kind"] == "objective"]["algorithm"]))
+        self.lines = tables.by_algorithm(self.searches, self.scores, self.timings)
+        self.statistics = tables.statistic_rows(self.lines, self.algorithms)
+
+    def paper(self, quantity: str, statistic: str = "") -> dict[str, float]:
+        """The printed figures of a row, by algorithm."""
+        return next((r.values for r in self.config.paper if (r.quantity, r.statistic) == (quantity, statistic)), {})
+
+
+def write_report(folder: str | Path, out: str | Path | None = None, figures: bool = True) -> Path:
+    """Write ``findings.md`` and its tables and figures to ``out`` (default: the study's folder); returns the text's path.
+
+    Raises InputError when the folder holds no finished study.
+    """
+    study = Study(Path(folder))
+    target = Path(out) if out is not None else study.folder
+    ranks = tables.rank_sums(study.statistics[_of_paper(study.statistics.columns, study)])
+    beside = comparison(study)
+    for name, table in (
+        ("table2.csv", beside),
+        ("table4.csv", ranks.reset_index(names="algorithm")),
+        ("heldout.csv", study.heldout),
+    ):
+        write_atomic(target / name, table.to_csv(index=False, float_format="%.6g").encode())
+    parts = [
+        f"# {study.manifest['title'] or study.manifest['scenario']}\n",
+        _what_was_run(study),
+        *_claims(study, ranks),
+        "## Fitness and time beside the paper's\n",
+        markdown(_rows_of(beside, ("fitness", "hours"))),
+        "## RMSE of the best candidates on the flight they were tuned on (mean over searches)\n",
+        "All statistics are in `table2.csv`; here the means.\n",
+        markdown(beside[beside["quantity"].str.contains(":") & (beside["statistic"] == "mean")]),
+        "## Rank sums (lower is better)\n",
+        markdown(_rank_table(study, ranks)),
+        "## On flights that the search did not see\n",
+        "Objective of every result; improvement over the data sheet in %, paired over the unseen runs, 95 % interval.\n",
+        markdown(study.heldout.sort_values("train", kind="stable")),
+    ]
+    if figures:
+        parts += _figures(study, target)
+    path = target / "findings.md"
+    write_atomic(path, "\n".join(parts).encode())
+    return path
+
+
+def comparison(study: Study) -> pd.DataFrame:
+    """Table 2: quantity, statistic, source (ours, paper), one column per algorithm; time in hours."""
+    import pandas as pd
+
+    rows: list[dict[str, Any]] = []
+    for (quantity, statistic), values in study.statistics.iterrows():
+        name, scale = (
+            ("hours", 3600.0**-2 if statistic == "variance" else 1 / 3600.0)
+            if quantity == "seconds"
+            else (quantity, 1.0)
+        )
+        key = {"quantity": name, "statistic": statistic}
+        rows.append(key | {"source": "ours"} | (values * scale).to_dict())
+        if printed := study.paper(name, statistic):
+            rows.append(key | {"source": "paper"} | printed)
+    return pd.DataFrame(rows)
+
+
+def _what_was_run(study: Study) -> str:
+    searches, seconds = study.searches, study.timings
+    own = searches[searches["kind"] == "objective"]
+    evaluations, total = int(searches["evaluations"].sum()), seconds["seconds"].sum()
+    per = total / evaluations
+    per_algorithm = own.groupby("algorithm").size().max()
+    lines = [
+        f"{len(own)} searches ({per_algorithm} of each algorithm; iterations {', '.join(map(str, sorted(set(own['iterations']))))}; "
+        f"population {study.config.population}; {len(study.config.cases)} case(s); seen runs {study.config.train_runs}, "
+        f"unseen runs {len(study.config.test_runs)}).",
+        f"{evaluations} evaluations in {total / 3600:.2f} h, {per:.3f} s each on {study.manifest['cores']} cores"
+        f" (as the machine was loaded). The paper's whole table of {FULL_TABLE_EVALUATIONS} evaluations would take"
+        f" {per * FULL_TABLE_EVALUATIONS / 3600:.0f} h at this speed; the paper's took about {PAPER_HOURS:.0f} machine hours.",
+    ]
+    if len(own) < 30 and study.config.paper:
+        lines.append(
+            "This is a reduced set: the paper ran 100 to 500 iterations with a population of 50. Minimum, mean and variance"
+            " are over the searches made here, and say correspondingly less."
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _claims(study: Study, ranks: pd.DataFrame) -> list[str]:
+    """Verdicts on the paper's three claims, from the tables."""
+    own = [a for a in study.algorithms if a in ranks.index]
+    fitness = {s: study.statistics.loc[("fitness", s), own] for s in ("min", "mean", "variance")}
+    several = study.lines.groupby("algorithm").size().min() > 1
+    best = {s: v.astype(float).idxmin() for s, v in fitness.items() if v.notna().all()}
+    claimed = study.paper("fitness", "mean")
+    favourite = min(claimed, key=lambda a: claimed[a]) if claimed else ""
+    order = list(ranks.sort_values("rank_sum").index)
+    paper_ranks = study.paper("rank_sum")
+    rows = ["## Claims\n"]
+    if favourite in own:
+        holds = all(v == favourite for v in best.values())
+        full = several and int(study.searches["evaluations"].sum()) >= FULL_TABLE_EVALUATIONS // 5
+        verdict = ("confirmed" if holds else "refuted") if full else f"{'supported' if holds else 'not supported'} by this reduced set"
+        found = ", ".join(f"{s}: {a}" for s, a in best.items())
+        rows.append(
+            f"1. {favourite.upper()} has the best fitness of the paper's algorithms: **{verdict}** (best {found})."
+        )
+        paper_order = sorted(paper_ranks, key=lambda a: paper_ranks[a])
+        rows.append(f"   Order by rank sum: {', '.join(order)}; the paper's: {', '.join(paper_order)}.")
+    tuned = study.heldout[study.heldout["improvement_pct"].notna() & ~study.heldout["row"].str.startswith(INNOVATIONS)]
+    if len(tuned):
+        better = tuned[tuned["ci_low"] > 0.0]
+        worse = tuned[tuned["ci_high"] < 0.0]
+        base = study.heldout.set_index("row").loc[DATA_SHEET]
+        seen = int((study.heldout.set_index("row").loc[tuned["row"], "train"] < base["train"]).sum())
+        verdict = "confirmed" if len(better) == len(tuned) else "partly" if len(better) else "refuted here"
+        rows.append(
+            f"2. Tuned settings beat the data sheet: **{verdict}**. On the flight they were tuned on {seen} of {len(tuned)} do; on unseen"
+            f" runs {len(better)} of {len(tuned)} are better and {len(worse)} worse with an interval that excludes zero."
+        )
+    per = study.timings["seconds"].sum() / study.searches["evaluations"].sum()
+    rows.append(
+        f"3. Tuning takes 12 to 84 hours per search: **refuted as a necessity**. A search of the paper's size (5,000 to 25,000 evaluations)"
+        f" takes {5000 * per / 3600:.1f} to {25000 * per / 3600:.1f} h here."
+    )
+    return [*rows, ""]
+
+
+def _rank_table(study: Study, ranks: pd.DataFrame) -> pd.DataFrame:
+    table = ranks.sort_values("rank_sum").reset_index(names="algorithm")
+    if printed := study.paper("rank_sum"):
+        table["paper (of 128 rows)"] = [printed.get(a, np.nan) for a in table["algorithm"]]
+    return table
+
+
+def _of_paper(columns: Any, study: Study) -> list[str]:
+    """The algorithms that the paper has; all where the scenario quotes no paper."""
+    printed = study.paper("fitness", "mean")
+    return [a for a in columns if not printed or a in printed]
+
+
+def _rows_of(table: pd.DataFrame, quantities: tuple[str, ...]) -> pd.DataFrame:
+    return table[table["quantity"].isin(quantities)]
+
+
+def _figures(study: Study, target: Path) -> list[str]:
+    from testbed.tuning import plots
+
+    space = scenario_space(study.scenario, study.config)
+    base = float(study.heldout.set_index("row").loc[DATA_SHEET, "train"])
+    plots.convergence(study.history, study.searches, target / "convergence.png", base)
+    plots.variables(study.searches, space.names, *space.bounds, target / "variables.png")
+    own = study.searches[study.searches["kind"] == "objective"]
+    best = own.loc[own["best"].idxmin(), "search"]
+    entry = tuned_entry(study.scenario, study.config)
+    candidates = {DATA_SHEET: dict(entry.params), best: read_toml(study.folder / "best" / f"{best}.toml")["params"]}
+    texts = [
+        "## Figures\n",
+        "![convergence](convergence.png)\n",
+        "![variables of the best candidates](variables.png)\n",
+    ]
+    for recording in record(study.scenario, study.config, study.config.train_runs[:1]):
+        name = f"best-{recording.case}.png"
+        plots.best_flight(entry.name, candidates, recording, target / name)
+        texts.append(f"![errors of the best candidate, {recording.case}]({name})\n")
+    return texts
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """A table as Markdown; numbers with four figures."""
+
+    def cell(value: Any) -> str:
+        if isinstance(value, float):
+            return "" if np.isnan(value) else f"{value:.4g}"
+        return str(value)
+
+    head = "| " + " | ".join(map(str, table.columns)) + " |"
+    rule = "| " + " | ".join("---:" if table[c].dtype.kind in "fi" else "---" for c in table.columns) + " |"
+    body = ["| " + " | ".join(cell(v) for v in row) + " |" for row in table.itertuples(index=False)]
+    return "\n".join([head, rule, *body]) + "\n"

@@ -1,0 +1,172 @@
+"""`ahrs-kf` against dense algebra, known accelerations and disturbances, and the attitude filters of the package ahrs."""
+
+import numpy as np
+import pytest
+from ahrs_simulation import body_errors, simulate
+from scipy.stats import chi2
+
+from estimators.ahrs_kernels import kalman_gain, observe, predict
+from estimators.ahrs_kf import AhrsKf
+from testbed.errors import InputError
+from testbed.metrics import error_series
+from testbed.records import SensorLog, Trajectory
+from testbed.rotations import attitude_errors, quat_to_matrix, rotvec_to_quat
+
+MODEL = np.array([0.01, 0.02, 0.03, 0.04, 0.5, 0.6, 0.99, 0.9, 0.95, 0.02, 9.8])
+
+
+def skew(v):
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+@pytest.fixture
+def start():
+    rng = np.random.default_rng(0)
+    root, state = rng.standard_normal((12, 12)), rng.standard_normal(13)
+    state[:4] /= np.linalg.norm(state[:4])
+    return state, root @ root.T, rng
+
+
+def test_the_kernel_carries_the_covariance_as_dense_algebra_does(start):
+    state, p, rng = start
+    gyro = rng.standard_normal(3)
+    phi = np.zeros((12, 12))
+    phi[:3, :3] = np.array(quat_to_matrix(rotvec_to_quat((gyro - state[4:7]) * 0.02))).T
+    phi[:3, 3:6], phi[3:, 3:] = -0.02 * np.eye(3), np.diag(np.repeat([0.99, 0.9, 0.95], 3))
+    expected = phi @ p @ phi.T + np.diag(np.repeat([0.01 * 0.02**2, 0.02, 0.03, 0.04], 3))
+    predict(state, p, gyro, MODEL)
+    np.testing.assert_allclose(p, expected, atol=1e-13)  # elements of about 10, sums of about 20 products
+
+
+@pytest.mark.parametrize("has_mag", [True, False])
+def test_the_gain_is_that_of_dense_algebra(start, has_mag):
+    state, p, rng = start
+    z, seen, s, y, k = np.zeros(6), np.zeros(6), np.zeros((6, 6)), np.zeros((6, 12)), np.zeros((6, 12))
+    observe(state, rng.standard_normal(3), rng.standard_normal(3), has_mag, np.array([20.0, 3.0, 44.0]), MODEL, z, seen)
+    h = np.zeros((6, 12))
+    h[:3, :3], h[:3, 6:9] = skew(seen[:3]), -np.eye(3)
+    if has_mag:
+        h[3:, :3], h[3:, 9:] = skew(seen[3:]), np.eye(3)
+    innovation = h @ p @ h.T + np.diag([0.5] * 3 + [0.6] * 3)
+    gain = p @ h.T @ np.linalg.inv(innovation)
+    updated = p - gain @ h @ p
+    kalman_gain(p, seen, has_mag, MODEL, s, y, k)
+    np.testing.assert_allclose(k.T, gain, atol=1e-11)  # condition number of S times round-off
+    np.testing.assert_allclose(p, updated, atol=1e-10)
+    assert np.array_equal(p, p.T)
+    if not has_mag:
+        assert not k[3:].any() and not z[3:].any()
+
+
+def test_without_noise_or_motion_the_attitude_stays_exact():
+    log, truth, estimator = simulate(0, 20.0, still=True, noise=0.0)
+    solution = estimator.run(log)
+    assert np.abs(attitude_errors(solution.q_nb, truth)).max() < 1e-9  # nothing to correct: only round-off
+
+
+def test_consistent_where_accelerations_and_disturbances_are_as_modelled():
+    """NEES of attitude, averaged over runs and spread-out times, inside its 99.9 % chi-square bounds."""
+    nees = []
+    for seed in range(12):
+        log, truth, estimator = simulate(seed)
+        solution = estimator.run(log)
+        rows = np.searchsorted(log.imu.t, solution.covariance_t[[14, 59]] - 1e-6)
+        errors = attitude_errors(solution.q_nb[rows], truth[rows])
+        covariance = solution.covariance[[14, 59], 6:9, 6:9]
+        nees += list(np.einsum("ki,kij,kj->k", errors, np.linalg.inv(covariance), errors))
+    low, high = chi2.ppf([0.0005, 0.9995], 3 * len(nees)) / len(nees)
+    assert low < np.mean(nees) < high
+
+
+def test_the_disturbances_are_worth_modelling():
+    """Against accelerations of 1 m/s², a filter that takes them for white noise of the sensor is worse."""
+    def error(estimator, log, truth):
+        return np.sqrt(np.mean(body_errors(estimator.run(log).q_nb[1000:], truth[1000:]) ** 2))
+
+    good, blind = [], []
+    for seed in range(4):
+        log, truth, estimator = simulate(seed, 40.0)
+        good.append(error(estimator, log, truth))
+        blind.append(error(AhrsKf(0.02, 0.02, 0.02, 0.02, 1.0, 1.0, 1.0, 1.0), log, truth))
+    assert np.mean(good) < 0.5 * np.mean(blind)
+
+
+def test_gyro_bias_is_found():
+    """At rest with an exact field the horizontal gyro biases are observable: they come out at a third of their prior."""
+    left = []
+    for seed in range(6):
+        log, _, estimator = simulate(seed, 120.0, still=True)
+        bias = np.mean(log.imu.gyro, axis=0)  # the body does not turn: the mean is the bias, up to 0.05/sqrt(120) °/s
+        left.append(estimator.run(log).gyro_bias[-1] - bias)
+    assert np.sqrt(np.mean(np.square(left))) < np.radians(0.02) / 2.0
+
+
+def test_a_slow_magnetometer_is_used_when_it_samples():
+    log, truth, estimator = simulate(3, 40.0)
+    mag = type(log.mag)(log.mag.t[4::5], log.mag.field[4::5], log.mag.spec)
+    solution = estimator.run(SensorLog(log.imu, log.initial, mag=mag))
+    used = np.isfinite(solution.innovations.value[:, 3:]).all(axis=1)
+    assert used.all()  # snapshots once a second fall on its samples
+    assert np.degrees(np.abs(attitude_errors(solution.q_nb[-1:], truth[-1:]))).max() < 5.0
+
+
+def test_position_and_velocity_stand_still_and_say_so():
+    log, _, estimator = simulate(0, 5.0)
+    solution = estimator.run(log)
+    assert np.ptp(solution.lat) == 0.0 and np.ptp(solution.v_n) == 0.0
+    assert solution.std[:, 0].min() > 1e6
+
+
+def test_a_log_without_magnetometer_and_a_wrong_parameter_are_refused():
+    log = simulate(0, 2.0).log
+    with pytest.raises(InputError, match="magnetometer"):
+        AhrsKf().run(SensorLog(log.imu, log.initial))
+    with pytest.raises(InputError, match="linear_accel_time_s"):
+        AhrsKf(linear_accel_time_s=0.0)
+
+
+@pytest.mark.parametrize("name", ["Madgwick", "Mahony", "AhrsEkf"])
+def test_a_peer_holds_the_attitude_of_a_swinging_body(name):
+    """Without errors in the sensors, and without accelerations, each stays within a few degrees in our frames."""
+    pytest.importorskip("ahrs")
+    from estimators import ahrs_peers
+
+    log, truth, _ = simulate(0, 30.0, noise=0.0)
+    solution = getattr(ahrs_peers, name)().run(log)
+    assert np.degrees(np.abs(attitude_errors(solution.q_nb, truth))).max() < 3.0  # declination alone is 4°
+
+
+@pytest.fixture(scope="module")
+def flight():
+    from testbed.flight import fly_flight
+    from testbed.flight.config import FlightConfig
+    from testbed.sensors import sense_flight
+    from testbed.sensors.config import InitialConfig, SensorsConfig
+
+    script = [
+        {"type": "straight", "duration_s": 40.0},
+        {"type": "loiter", "radius_m": 200.0, "duration_s": 80.0},
+        {"type": "straight", "duration_s": 30.0},
+    ]
+    config = {"aircraft": "aerosonde", "rate_hz": 50.0, "initial": {"speed_mps": 30.0}, "manoeuvres": script}
+    trajectory = fly_flight(FlightConfig.model_validate(config | {"wind": {"turbulence": "light"}}), 3)
+    sensors = SensorsConfig.model_validate(
+        {"imu": {"model": "ahrs-lstm-2022"}, "mag": {"model": "ahrs-lstm-2022", "turn_on_bias_mgauss": 5.0}}
+    )
+    initial = InitialConfig(yaw_deg=3.0, gyro_bias_dps=0.02, accel_bias_mg=1.0)
+    return trajectory, sense_flight(sensors, initial, trajectory, 1)[0]
+
+
+def roll_pitch_rmse(trajectory: Trajectory, estimator, log) -> float:
+    return float(np.sqrt(np.mean(error_series(trajectory, estimator.run(log)).values[:, 6:8] ** 2)))
+
+
+def test_no_straw_man_on_a_flight_with_a_loiter(flight):
+    """Its default parameters beat Madgwick and Mahony at their package's gains; data-sheet noise alone does not hold."""
+    pytest.importorskip("ahrs")
+    from estimators.ahrs_peers import Madgwick, Mahony
+
+    trajectory, log = flight
+    ours = roll_pitch_rmse(trajectory, AhrsKf(), log)
+    assert ours < min(roll_pitch_rmse(trajectory, peer, log) for peer in (Madgwick(), Mahony()))
+    assert ours < 1.5
