@@ -39,21 +39,23 @@ class Settings:
     activation: str = "sigmoid"
     epochs: int = 10
     batch: int = 64
-    window_s: float = 120.0
+    """Windows in a batch. Each is there twice, with opposite attitude errors at its start: what correlates by chance
+    between error and disturbance cancels."""
+    interleave: int = 4
+    """Batches that take turns, a chunk each, so that one update after another sees other windows."""
+    window_s: float = 30.0
     chunk: int = 50
     """Samples through which the gradient runs back."""
     optimiser: str = "adam"
     """``adam`` or ``sgd`` (the paper's)."""
-    learning_rate: float = 2e-3
+    learning_rate: float = 1e-3
     final_rate: float = 0.1
     """The rate falls to this part of itself over the training, along a cosine."""
     yaw_weight: float = 0.05
     """Weight of the attitude error about all axes beside the tilt error."""
     gradient_limit: float = 1.0
-    start_error_deg: float = 0.3
-    """1 sigma of what is added to the KF's attitude at the start of a window, per axis: no window is seen twice."""
-    start_bias_dps: float = 0.003
-    """The same for its gyro bias."""
+    start_error: float = 0.8
+    """Attitude errors at the start of a window are those of the KF at other times, times this."""
     reference_noise_deg: float = 0.0
     """1 sigma of a constant error of the reference attitude per window, per axis (the paper's reference: 0.5)."""
     seed: int = 0
@@ -111,7 +113,7 @@ class GainNetwork(nn.Module):
 
 @dataclass
 class Batch:
-    """B windows: samples (B,T,3), true C_nb (B,T,3,3), field (B,3), gravity (B,), and the KF's state where they start."""
+    """B windows: samples (B,T,3), true C_nb (B,T+1,3,3) from the start on, field (B,3), gravity (B,), the KF's state."""
 
     gyro: Tensor
     accel: Tensor
@@ -201,7 +203,7 @@ class BatchFilter:
 
 def attitude_loss(b: Batch, n: int, yaw_weight: float) -> tuple[Tensor, Tensor]:
     """Mean square errors (deg²) after sample ``n``: of the tilt (roll and pitch together), and the loss."""
-    difference = b.c_nb - b.truth[:, n]
+    difference = b.c_nb - b.truth[:, n + 1]
     tilt = (difference[:, 2] ** 2).sum(1).mean() * DEGREES**2
     return tilt, tilt + yaw_weight * 0.5 * (difference**2).sum((1, 2)).mean() * DEGREES**2
 
@@ -218,11 +220,13 @@ class Prepared:
     model: NDArray[np.float64]
     accel_bias: NDArray[np.float64]
     features: NDArray[np.float64]
+    errors: NDArray[np.float64]
 
 
 def prepare_flight(flight: Any, filter_: AhrsKf, stride: int) -> Prepared:
     """Run the KF over a flight once, and keep its states and inputs at window starts."""
     from estimators.ahrs_kernels import filter_log
+    from testbed.rotations import attitude_errors
 
     log = flight.log()
     n, (state, p) = len(log.imu.t), filter_.start(log)
@@ -234,6 +238,8 @@ def prepare_flight(flight: Any, filter_: AhrsKf, stride: int) -> Prepared:
     filter_log(*recording, model, state, p, stride, states, std, snapshots, z, s)
     at = states[stride - 1 :: stride]
     features = _features(snapshots, z, at, model, recording.field_n)
+    truth = flight.window(0, n)["q_nb"][stride - 1 :: stride].astype(np.float64)
+    errors = attitude_errors(np.ascontiguousarray(at[:, :4]), truth)
     return Prepared(
         flight,
         stride,
@@ -243,6 +249,7 @@ def prepare_flight(flight: Any, filter_: AhrsKf, stride: int) -> Prepared:
         model,
         log.initial.accel_bias,
         features,
+        errors,
     )
 
 
@@ -275,17 +282,18 @@ def normalisation(flights: Sequence[Prepared]) -> dict[str, NDArray[np.float32]]
 def make_batch(
     windows: Sequence[tuple[Prepared, int]], rows: int, device: torch.device, dtype: torch.dtype = torch.float32
 ) -> Batch:
-    """Load windows that start at rows that are multiples of the stride."""
+    """Load windows that start at rows that are multiples of the stride; none starts at row 0, which has no truth before it."""
     from testbed.rotations import quats_to_matrices
 
-    data = [prepared.flight.window(start, rows) for prepared, start in windows]
+    before = [prepared.flight.window(start - 1, rows + 1) for prepared, start in windows]
+    data = [{key: values[1:] for key, values in d.items()} for d in before]
     at = [start // prepared.stride for prepared, start in windows]
     states = np.stack([prepared.states[k] for (prepared, _), k in zip(windows, at, strict=True)])
 
     def tensor(values: Any) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(values)).to(device, dtype)
 
-    truth = np.stack([quats_to_matrices(d["q_nb"].astype(np.float64)) for d in data])
+    truth = np.stack([quats_to_matrices(d["q_nb"].astype(np.float64)) for d in before])
     accel = [d["accel"] - prepared.accel_bias for d, (prepared, _) in zip(data, windows, strict=True)]
     return Batch(
         gyro=tensor(np.stack([d["gyro"] for d in data])),
@@ -377,10 +385,8 @@ class _Training:
         rng = np.random.default_rng((self.settings.seed, epoch))
         windows = []
         for flight in self.flights:
-            offset = (
-                int(rng.integers(0, max(1, min(self.rows, flight.flight.rows - self.rows)) // self.stride + 1))
-                * self.stride
-            )
+            room = max(1, min(self.rows, flight.flight.rows - self.rows) // self.stride)
+            offset = int(rng.integers(1, room + 1)) * self.stride
             windows += [(flight, start) for start in range(offset, flight.flight.rows - self.rows + 1, self.rows)]
         order = rng.permutation(len(windows))
         size = min(self.settings.batch, len(windows))
@@ -388,22 +394,22 @@ class _Training:
 
     def _epoch(self, epoch: int) -> float:
         """Root mean square tilt error (deg per axis) over the epoch, while learning."""
-        batches, total = self._windows(epoch), 0.0
+        batches, tilts = self._windows(epoch), []
         rng = np.random.default_rng((self.settings.seed, epoch, 1))
-        told = time.monotonic()
-        for k, windows in enumerate(batches):
-            batch = make_batch(windows, self.rows, self.device)
-            self._vary(batch, rng)
-            memory, part = self.network.start(len(windows)), 0.0
-            for chunk in range(0, self.rows, self.settings.chunk):
-                self._set_rate(epoch + (k + chunk / self.rows) / len(batches))
-                memory, tilt = self._update(batch, chunk, memory)
-                part += tilt * self.settings.chunk / self.rows
-            total += part / len(batches)
-            if time.monotonic() - told > 20.0:
-                told = time.monotonic()
-                self.tell(f"  epoch {epoch + 1}, batch {k + 1} of {len(batches)}: {np.sqrt(part / 2):.4f} deg")
-        return float(np.sqrt(total / 2.0))
+        groups = [batches[a : a + self.settings.interleave] for a in range(0, len(batches), self.settings.interleave)]
+        chunks, told = range(0, self.rows, self.settings.chunk), time.monotonic()
+        for g, group in enumerate(groups):
+            loaded = [self._start(windows, rng) for windows in group]
+            memories = [self.network.start(len(b.truth)) for b in loaded]
+            for k, chunk in enumerate(chunks):
+                self._set_rate(epoch + (g + k / len(chunks)) / len(groups))
+                for i, batch in enumerate(loaded):
+                    memories[i], tilt = self._update(batch, chunk, memories[i])
+                    tilts.append(tilt)
+                if time.monotonic() - told > 20.0:
+                    told, part = time.monotonic(), (g + (k + 1) / len(chunks)) / len(groups)
+                    self.tell(f"  epoch {epoch + 1}, {100 * part:.0f} %: {np.sqrt(np.mean(tilts[-100:]) / 2):.4f} deg")
+        return float(np.sqrt(np.mean(tilts) / 2.0))
 
     def _update(self, b: Batch, start: int, memory: Any) -> tuple[Any, float]:
         """One step of the optimiser on one chunk; returns the detached memory and the mean square tilt (deg²)."""
@@ -430,17 +436,21 @@ class _Training:
         for group in self.optimiser.param_groups:
             group["lr"] = s.learning_rate * warm * (s.final_rate + (1.0 - s.final_rate) * fall)
 
-    def _vary(self, b: Batch, rng: np.random.Generator) -> None:
-        """Draw the start errors of the windows, and the reference's error where one is asked for."""
+    def _start(self, windows: list[tuple[Prepared, int]], rng: np.random.Generator) -> Batch:
+        """Load windows twice over and give each pair opposite attitude errors about the truth."""
+        single = make_batch(windows, self.rows, self.device)
+        batch = Batch(**{key: torch.cat([value, value]) for key, value in vars(single).items()})
+        pool = np.concatenate([f.errors[len(f.errors) // 50 :] for f in self.flights])
+        drawn = self.settings.start_error * pool[rng.integers(len(pool), size=len(windows))]
 
-        def draw(sigma_deg: float) -> Tensor:
-            drawn = rng.normal(0.0, sigma_deg / DEGREES, (len(b.truth), 3))
-            return torch.as_tensor(drawn).to(self.device, torch.float32)
+        def turn(vectors: NDArray[np.float64]) -> Tensor:
+            return self.filter.rotation(torch.as_tensor(vectors).to(self.device, torch.float32))
 
-        b.c_nb = b.c_nb @ self.filter.rotation(draw(self.settings.start_error_deg))
-        b.bias = b.bias + draw(self.settings.start_bias_dps)
+        batch.c_nb = turn(np.vstack([drawn, -drawn])) @ batch.truth[:, 0]
         if self.settings.reference_noise_deg:
-            b.truth = b.truth @ self.filter.rotation(draw(self.settings.reference_noise_deg))[:, None]
+            error = rng.normal(0.0, self.settings.reference_noise_deg / DEGREES, (len(windows), 3))
+            batch.truth = batch.truth @ turn(np.vstack([error, error]))[:, None]
+        return batch
 
     def _validate(self) -> float:
         """Roll and pitch RMSE (deg, both axes pooled) over the validation flights, with the compiled filter."""

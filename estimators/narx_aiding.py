@@ -6,15 +6,14 @@ six networks learn what it lacks. Coordinates of `direct`; SI units and radians,
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
+from estimators import pretrained
 from estimators.direct import Array, DirectProblem, check_range
 from estimators.narx_networks import (
     CANDIDATES,
@@ -121,32 +120,13 @@ class NarxAiding:
 
     def prepare(self, scenario: Any) -> None:
         """Train on the flights of ``[extra.training]`` and store the networks, unless that is done already."""
-        if not self.networks:
-            return
-        from testbed.training_flights import training_digest, training_flights
+        if self.networks:
+            pretrained.prepare(self, scenario)
 
-        digest = training_digest(scenario)
-        flights = training_flights(scenario)
-        path = self.weights_path(flights[0][0])
-        if path.exists() and DriftNetworks.load(path)[1].get("training") == digest:
-            return
-        student = replace(self)
-        student.fit(flights)
-        assert student._trained is not None
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_suffix(f".{digest}.tmp")
-        student._trained.save(unfinished, {"training": digest})
-        unfinished.replace(path)
-
-    def weights_path(self, log: SensorLog) -> Path:
-        """Where the networks ``networks`` of these parameters and these sensors are kept."""
-        from testbed import resources, specs
-
-        params = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
-        gnss = specs.to_dict(log.gnss.spec) if log.gnss is not None else {}
-        key = {"params": params, "imu": specs.to_dict(log.imu.spec), "gnss": gnss, "class": self.name}
-        digest = hashlib.sha256(json.dumps(key, sort_keys=True, default=list).encode()).hexdigest()[:16]
-        return resources.cache_root() / "networks" / f"{self.networks}-{digest}.safetensors"
+    def store(self, path: Path, meta: dict[str, Any]) -> None:
+        """Write the networks of `fit` as safetensors."""
+        assert self._trained is not None
+        self._trained.save(path, meta)
 
     def lessons(self, log: SensorLog) -> Iterator[Drift]:
         """Every re-set of the free copy in a log."""
@@ -185,13 +165,7 @@ class NarxAiding:
         """What is known before take-off. Raises InputError when the named networks were never trained."""
         if self._trained is not None or not self.networks:
             return self._trained
-        path = self.weights_path(log)
-        if not path.exists():
-            raise InputError(
-                f"{self.name}: no networks '{self.networks}' trained for these sensors and parameters; "
-                f"call prepare(scenario) or fit(flights) first (the runner does)"
-            )
-        return DriftNetworks.load(path)[0]
+        return DriftNetworks.load(pretrained.stored(self, log))[0]
 
     # ------------------------------------------------------------------ in flight
     def run(self, log: SensorLog) -> NavSolution:
@@ -288,7 +262,7 @@ class _Flight:
         nothing, length = np.empty(0), self.settings.longest_outage_s
         free_from = self.task.start + self.settings.settle_s
         edges = np.append(fixes, t[-1] + self.epoch)
-        gaps = [k for k in np.flatnonzero(np.diff(edges) > GAP_EPOCHS * self.epoch)] if len(fixes) else []
+        gaps = list(np.flatnonzero(np.diff(edges) > GAP_EPOCHS * self.epoch)) if len(fixes) else []
         for k in [*gaps, None] if len(fixes) else []:
             last = float(edges[k]) if k is not None else float(t[-1])
             reset = free_from

@@ -40,8 +40,8 @@ _HOME = {
 _MODULE = {name: module for module, names in _HOME.items() for name in names}
 __all__ = [
     "FlightError",
-    "InputError",
     "InitialState",
+    "InputError",
     "NavSolution",
     "Scenario",
     "SensorErrors",

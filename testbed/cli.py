@@ -5,6 +5,7 @@ Exit codes: 0 done, 1 the work failed, 2 bad usage or bad input. A user's mistak
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -44,6 +45,8 @@ SetOption = Annotated[
 ]
 PluginOption = Annotated[list[Path] | None, typer.Option("--plugin", help="Python file with your own estimators.")]
 SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed in place of the scenario's.")]
+_PATH_KEY = re.compile(r"recording\.dir|sensors\.\w+\.file|estimators\.\d+\.params_file")
+"""Settings that are paths: on the command line they start from the current folder, in a scenario file from its own."""
 OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for the results.")]
 
 
@@ -61,6 +64,11 @@ def main() -> None:
         sys.exit(1)
     except BrokenPipeError:
         sys.exit(1)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        print(f"testbed: {error.filename}: {error.strerror}", file=sys.stderr)
+        sys.exit(1)
 
 
 def _loader(
@@ -70,6 +78,9 @@ def _loader(
     from testbed.scenario import load_scenario, parse_setting
 
     overrides: dict[str, Any] = dict(parse_setting(text) for text in settings or [])
+    for key, value in overrides.items():
+        if _PATH_KEY.fullmatch(key) and isinstance(value, str):
+            overrides[key] = str(Path(value).resolve())
     if seed is not None:
         overrides["monte_carlo.seed"] = seed
     return lambda further: load_scenario(scenario, profile, variant, {**overrides, **further})
@@ -109,9 +120,9 @@ def run_command(
     timeout: Annotated[float | None, typer.Option(min=0.1, help="Longest time of one estimator on one run, s.")] = None,
     sweep: Annotated[list[str] | None, typer.Option(metavar="KEY=V1,V2", help="Run a grid over settings.")] = None,
     width: Annotated[
-        float, typer.Option(help="With --runs auto: interval width of every claim, percentage points.")
+        float, typer.Option(min=0.1, help="With --runs auto: interval width of every claim, percentage points.")
     ] = 10.0,
-    cap: Annotated[int, typer.Option(help="With --runs auto: most runs.")] = 1000,
+    cap: Annotated[int, typer.Option(min=1, help="With --runs auto: most runs.")] = 1000,
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="Render the report; the tables are always written.")
     ] = True,

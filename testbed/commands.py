@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -11,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from testbed.errors import InputError, nearest
+from testbed.errors import InputError, TestbedError, nearest
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,6 +30,8 @@ TABLE_METRICS = {
     "rmse_pitch_deg": "pitch °",
     "rmse_yaw_deg": "yaw °",
 }
+MOVING_DPS = 2.0
+"""Standard deviation of a gyro that no catalogue sensor reaches at rest, with noise of 2 °/√h at 200 Hz 0.5 °/s."""
 
 
 def run(
@@ -47,17 +51,20 @@ def run(
 
     scenario = _choose_estimators(load({}), estimators)
     folder = out or Path("results") / scenario.name
-    if sweep:
-        _sweep(
-            lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=_run_count(runs), **options
-        )
-        return
+    check_place(folder)
     count = testbed.runner.Auto(width, cap) if runs == "auto" else _run_count(runs)
+    if sweep:
+        _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=count, **options)
+        return
     with progress_line("runs") as tell:
         result = testbed.runner.run(scenario, folder, runs=count, progress=tell, **options)
     print_summary(scenario, result.summary, result.runs)
+    sys.stdout.flush()
+    print_failures(result.runs)
     if not result.claims.empty:
         print_claims(result.claims)
+    if not (result.runs["status"] == "ok").any():
+        raise TestbedError(f"{folder}: no estimator came to the end of a run")
     if report:
         render(folder)
     print(f"report: {folder / 'report.html'}" if report else f"tables: {folder}; the report: testbed report {folder}")
@@ -79,7 +86,7 @@ def _tell(text: str) -> None:
 
 
 def _run_count(runs: str | None) -> int | None:
-    if runs is None or runs == "auto":
+    if runs is None:
         return None
     if not runs.isdigit() or int(runs) < 1:
         raise InputError(f"--runs {runs}: expected a number of runs from 1, or 'auto'")
@@ -95,10 +102,13 @@ def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
 
     rows = {entry.row: entry for entry in scenario.estimators}
     chosen = []
-    for name in (part.strip() for part in names.split(",")):
-        if name not in rows and name not in list_estimators():
-            raise InputError(f"--estimators: unknown estimator '{name}'; {nearest(name, [*rows, *list_estimators()])}")
+    known = {*rows, *list_estimators()}
+    for name in dict.fromkeys(part.strip() for part in names.split(",") if part.strip()):
+        if name not in known:
+            raise InputError(f"--estimators: unknown estimator '{name}'; {nearest(name, known)}")
         chosen.append(rows.get(name) or EstimatorConfig(name=name))
+    if not chosen:
+        raise InputError("--estimators: name at least one")
     kept = {entry.row for entry in chosen}
     claims = [claim for claim in scenario.claims if {claim.better, claim.than} <= kept]
     return scenario.model_copy(update={"estimators": chosen, "claims": claims})
@@ -175,6 +185,17 @@ def print_summary(scenario: Scenario, summary: pd.DataFrame, runs: pd.DataFrame)
     Console(width=None if sys.stdout.isatty() else 140).print(table)
 
 
+def print_failures(runs: pd.DataFrame) -> None:
+    """For each estimator that did not always arrive: in how many runs, and why (the reason of the first)."""
+    lost = runs[runs["status"] != "ok"]
+    for estimator, rows in lost.groupby("estimator", sort=False):
+        first = rows.iloc[0]
+        kind = first["status"].partition(":")[0]
+        reason = f": {first['reason']}" if first["reason"] else ""
+        total = (runs["estimator"] == estimator).sum()
+        _tell(f"{estimator}: not ok in {len(rows)} of {total} runs; run {first['run']} {kind}{reason}")
+
+
 def print_claims(claims: pd.DataFrame) -> None:
     """The claims with the paper's figure, ours and the verdict."""
     from rich.console import Console
@@ -196,11 +217,24 @@ def _number(value: float | None, form: str) -> str:
     return "–" if value is None or value != value else format(value, form)
 
 
+def check_place(out: Path) -> None:
+    """Raise InputError where no folder ``out`` can be."""
+    place = next((p for p in (out, *out.parents) if p.exists()), out)
+    if place.exists() and not place.is_dir():
+        raise InputError(f"{place}: is a file, not a folder for results; give another --out")
+
+
+def check_free(out: Path) -> None:
+    """Raise InputError where ``out`` is anything but a folder that can be made, or an empty one."""
+    check_place(out)
+    if out.exists() and any(out.iterdir()):
+        raise InputError(f"{out}: already exists and is not an empty folder; give another --out")
+
+
 @contextmanager
 def fresh_folder(out: Path) -> Iterator[Path]:
     """A temporary folder that takes the place of ``out`` at the end; on an error nothing half-written remains."""
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: already exists and is not an empty folder; give another --out")
+    check_free(out)
     out.parent.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
     try:
@@ -225,8 +259,9 @@ def fly(scenario: Scenario, out: Path | None) -> None:
     from testbed import pipeline
     from testbed.formats import export_trajectory
 
-    trajectory = pipeline.fly(scenario)
     folder = out or Path("results") / f"{scenario.name}-flight"
+    check_free(folder)
+    trajectory = pipeline.fly(scenario)
     with fresh_folder(folder) as scratch:
         for kind, suffix in (("parquet", "parquet"), ("csv", "csv"), ("kml", "kml"), ("navego", "mat")):
             export_trajectory(trajectory, scratch / f"trajectory.{suffix}", kind)
@@ -240,13 +275,14 @@ def sense(scenario: Scenario, out: Path | None) -> None:
     from testbed import pipeline
     from testbed.formats import export_log, export_trajectory
 
+    folder = out or Path("results") / f"{scenario.name}-log"
+    check_free(folder)
     trajectory = pipeline.fly(scenario)
     log, _ = pipeline.sense(scenario, trajectory)
-    folder = out or Path("results") / f"{scenario.name}-log"
     with fresh_folder(folder) as scratch:
         export_trajectory(trajectory, scratch / "trajectory.parquet", "parquet")
         log.save(scratch / "log")
-        export_log(log, scratch / "csv", "csv")
+        export_log(log, scratch / "csv", "csv", reference=trajectory)
         export_log(log, scratch / "mat", "navego", reference=trajectory)
     counts = ", ".join(f"{len(frame)} {name}" for name, frame in log.frames().items())
     print(f"{counts} samples: {folder}")
@@ -257,33 +293,61 @@ def allan(log: Path, out: Path | None) -> None:
     from testbed.records import SensorLog
     from testbed.sensors import allan as analysis
 
-    read = SensorLog.load(log)
-    table = analysis.analyse(read)
-    print(table.to_string(index=False))
     folder = out or Path("results") / "allan"
+    check_place(folder)
+    read = SensorLog.load(log / "log" if (log / "log" / "imu.parquet").is_file() else log)
+    table = analysis.analyse(read)
+    if (spread := math.degrees(read.imu.gyro.std(axis=0).max())) > MOVING_DPS:
+        _tell(f"{log}: the gyros vary by {spread:.2g} °/s, so it was not at rest; the figures are those of the motion")
+    print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
     folder.mkdir(parents=True, exist_ok=True)
     table.to_csv(folder / "allan.csv", index=False)
     analysis.plot(read, folder / "allan.png")
     print(f"plot: {folder / 'allan.png'}")
 
 
-def import_recording(format: str, files: list[Path], out: Path) -> None:
-    """``testbed import``."""
-    from testbed.formats import import_log
+IMPORTED = """# The imported recording as a scenario.
+[scenario]
+name = "{name}"
 
+[recording]
+format = "table"
+dir = "table"
+
+[[estimators]]
+name = "ins"
+
+[[estimators]]
+name = "indirect-kf"
+"""
+
+
+def import_recording(format: str, files: list[Path], out: Path) -> None:
+    """``testbed import``: the log for Python and ``allan``, and the same as tables with a scenario that runs on them."""
+    from testbed.formats import export_log, import_log
+
+    check_free(out)
     recording = import_log(format, files)
     with fresh_folder(out) as scratch:
         recording.log.save(scratch / "log")
         if recording.reference is not None:
             recording.reference.save(scratch / "reference.parquet")
+            export_log(recording.log, scratch / "table", "parquet", reference=recording.reference)
+            name = re.sub(r"[^A-Za-z0-9_.-]+", "-", out.resolve().name)
+            (scratch / "scenario.toml").write_text(IMPORTED.format(name=name), encoding="utf-8")
     counts = ", ".join(f"{len(frame)} {name}" for name, frame in recording.log.frames().items())
-    print(f"{counts} samples{', with reference' if recording.reference is not None else ''}: {out}")
+    print(f"{counts} samples: {out}")
+    if recording.reference is None:
+        print("there is no reference trajectory to score against; the log can be used from Python")
+    else:
+        print(f"compare on it with: testbed run {out / 'scenario.toml'}")
 
 
 def report(folders: list[Path], out: Path) -> None:
     """``testbed report``."""
     from testbed.report import render, render_index
 
+    check_place(out)
     for folder in folders:
         if not (folder / "manifest.json").is_file():
             raise InputError(f"{folder}: no result of 'testbed run' (it has no manifest.json)")

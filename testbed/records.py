@@ -86,8 +86,8 @@ class Trajectory:
         return pd.DataFrame(columns | dict(self.extra))
 
     def save(self, path: str | Path) -> None:
-        """Write Parquet. Quaternions are stored beside the Euler angles so that loading is exact."""
-        frame = self.to_frame().assign(**_quaternion_columns(self.q_nb))
+        """Write Parquet. Quaternions and radians are stored beside the degrees so that loading is exact."""
+        frame = self.to_frame().assign(**_exact_columns(self))
         meta = {"name": self.name, "phases": [[p.name, p.start, p.end] for p in self.phases], "extra": list(self.extra)}
         _write(frame, path, "Trajectory", meta)
 
@@ -346,7 +346,7 @@ class NavSolution:
 
     def save(self, path: str | Path) -> None:
         """Write Parquet: the table of `to_frame` (innovations, snapshots and extras are not kept)."""
-        _write(self.to_frame().assign(**_quaternion_columns(self.q_nb)), path, "NavSolution", {})
+        _write(self.to_frame().assign(**_exact_columns(self)), path, "NavSolution", {})
 
     @classmethod
     def load(cls, path: str | Path) -> NavSolution:
@@ -393,8 +393,8 @@ def _stack(frame: pd.DataFrame, pattern: str, names: Any) -> Array:
     return np.column_stack([frame[pattern.format(name)].to_numpy() for name in names])
 
 
-def _quaternion_columns(q_nb: Array) -> dict[str, Array]:
-    return _columns("q_nb_{}", range(4), q_nb)
+def _exact_columns(record: Trajectory | NavSolution) -> dict[str, Array]:
+    return _columns("q_nb_{}", range(4), record.q_nb) | {"lat_rad": record.lat, "lon_rad": record.lon}
 
 
 def _pva_columns(t: Array, lat: Array, lon: Array, h: Array, v_n: Array, q_nb: Array) -> dict[str, Array]:
@@ -407,10 +407,14 @@ def _pva_columns(t: Array, lat: Array, lon: Array, h: Array, v_n: Array, q_nb: A
 
 
 def _read_pva(frame: pd.DataFrame) -> dict[str, Array]:
+    def angle(name: str) -> Array:
+        exact = f"{name}_rad"
+        return frame[exact].to_numpy() if exact in frame else np.radians(frame[f"{name}_deg"].to_numpy())
+
     return {
         "t": frame["time_s"].to_numpy(),
-        "lat": np.radians(frame["lat_deg"].to_numpy()),
-        "lon": np.radians(frame["lon_deg"].to_numpy()),
+        "lat": angle("lat"),
+        "lon": angle("lon"),
         "h": frame["alt_m"].to_numpy(),
         "v_n": _stack(frame, "v_{}_mps", ("north", "east", "down")),
         "q_nb": _stack(frame, "q_nb_{}", range(4)),

@@ -31,7 +31,7 @@ def simulate(seed: int, duration_s: float = 60.0, still: bool = False, noise: fl
     dt, n = 1.0 / RATE_HZ, round(duration_s * RATE_HZ)
     gyro_spec = TriadSpec(white_noise=np.radians(0.05), rate_random_walk=np.radians(2.5e-4), correlation_time_s=1e9)
     imu_spec = ImuSpec("simulated", RATE_HZ, gyro_spec, TriadSpec(white_noise=5e-4))
-    mag_spec = MagSpec("simulated", RATE_HZ, noise_sigma=0.05, field_n=FIELD_N)
+    mag_spec = MagSpec("simulated", RATE_HZ, noise_sigma=0.05, declination=float(np.arctan2(FIELD_N[1], FIELD_N[0])), field_n=FIELD_N)
     estimator = AhrsKf(
         linear_accel_mps2=1.0,
         linear_accel_time_s=2.0,

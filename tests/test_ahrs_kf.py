@@ -92,12 +92,12 @@ def test_the_disturbances_are_worth_modelling():
 
 
 def test_gyro_bias_is_found():
-    """At rest with an exact field the horizontal gyro biases are observable: they come out at a third of their prior."""
+    """At rest heading north, the bias about east is seen by the field: half of its prior is gone after two minutes."""
     left = []
     for seed in range(6):
         log, _, estimator = simulate(seed, 120.0, still=True)
         bias = np.mean(log.imu.gyro, axis=0)  # the body does not turn: the mean is the bias, up to 0.05/sqrt(120) °/s
-        left.append(estimator.run(log).gyro_bias[-1] - bias)
+        left.append((estimator.run(log).gyro_bias[-1] - bias)[1])
     assert np.sqrt(np.mean(np.square(left))) < np.radians(0.02) / 2.0
 
 
@@ -133,7 +133,7 @@ def test_a_peer_holds_the_attitude_of_a_swinging_body(name):
 
     log, truth, _ = simulate(0, 30.0, noise=0.0)
     solution = getattr(ahrs_peers, name)().run(log)
-    assert np.degrees(np.abs(attitude_errors(solution.q_nb, truth))).max() < 3.0  # declination alone is 4°
+    assert np.degrees(np.abs(attitude_errors(solution.q_nb, truth))).max() < 2.0  # a wrong frame or sign costs tens of degrees, the declination 4
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from testbed.errors import InputError, nearest
 from testbed.schema import Table
@@ -49,7 +49,13 @@ class SensorTable(Table):
 
     model: str = "ideal"
     file: str | None = None
-    """The user's own catalogue (TOML)."""
+    """The user's own catalogue (TOML); a relative path starts from the scenario's folder."""
+
+    @field_validator("file")
+    @classmethod
+    def _from_folder(cls, value: str | None, info: ValidationInfo) -> str | None:
+        folder = (info.context or {}).get("folder")
+        return value if value is None or folder is None else str(folder / value)
 
     @model_validator(mode="after")
     def _resolvable(self) -> SensorTable:

@@ -30,6 +30,7 @@ def tune(
     resume: bool = False,
     only: str | None = None,
     time_limit: float | None = None,
+    plugins: Sequence[Path] = (),
 ) -> None:
     """Search, score, report. Lists are comma-separated; what is None comes from ``[extra.tune]``."""
     from testbed.tuning import tune as driver
@@ -46,7 +47,7 @@ def tune(
     variant = f"-{scenario.variant}" if scenario.variant else ""
     folder = out or Path("results") / f"{scenario.name}{variant}-tuning"
     with progress_line() as tell:
-        driver.tune(scenario, folder, config, jobs, resume, only, time_limit, tell)
+        driver.tune(scenario, folder, config, jobs, resume, only, time_limit, tell, plugins)
     if only is None:
         print_study(folder)
         write_report(folder)
@@ -75,7 +76,8 @@ def progress_line() -> Iterator[Callable[[Progress], None]]:
     """A bar with search, best value and time left on a terminal; plain lines elsewhere."""
     if sys.stderr.isatty():
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+        from rich.progress import Progress as Bar
 
         columns: Sequence[Any] = (
             TextColumn("{task.description}"),
@@ -83,7 +85,7 @@ def progress_line() -> Iterator[Callable[[Progress], None]]:
             MofNCompleteColumn(),
             TextColumn("{task.fields[left]}"),
         )
-        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task("", total=None, left="")
             yield lambda p: bar.update(
                 task, completed=p.done, total=p.total, description=f"{p.search} best {p.best:.4g}", left=_left(p.left_s)

@@ -7,6 +7,7 @@ linear rank (Baker 1985), so that a diverged candidate does not flatten them; th
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.records import Array
 from testbed.tuning.search import Bounds, Steps
@@ -35,7 +36,7 @@ def ga(
             x[worst], f[worst] = elite, elite_f
 
 
-def roulette(f: Array, count: int, rng: np.random.Generator) -> Array:
+def roulette(f: Array, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Indices of ``count`` parents; the k-th best of N has the weight N - k."""
     rank = np.empty(len(f))
     rank[np.argsort(f, kind="stable")] = np.arange(len(f))

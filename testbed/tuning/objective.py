@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from testbed import pipeline
 from testbed.errors import InputError
 from testbed.metrics import divergence, error_series, score
 from testbed.records import Array, Innovations, SensorErrors, SensorLog, Trajectory
-from testbed.registry import estimator_class, make_estimator
+from testbed.registry import estimator_class, load_plugin, make_estimator
 from testbed.scenario import Scenario
 from testbed.tuning.config import RMSE_METRICS, TuneConfig, case_scenario, tuned_entry
 from testbed.tuning.space import Space, make_space
@@ -108,8 +110,10 @@ class Objective:
         stride: int = 10,
         penalty: float = 1e6,
         jobs: int = 1,
+        plugins: Sequence[str | Path] = (),
     ) -> None:
         self.estimator, self.fixed, self.space, self.metrics = estimator, dict(fixed), space, list(metrics)
+        self._plugins = [str(path) for path in plugins]
         self.recordings, self.window, self.penalty, self.jobs = list(recordings), window, penalty, jobs
         runs = {case: sum(r.case == case for r in recordings) for case in {r.case for r in recordings}}
         self._weights = np.array([1.0 / runs[r.case] for r in recordings])
@@ -125,7 +129,7 @@ class Objective:
             return self._threaded(searchers), ThreadPoolExecutor(self.jobs) if self.jobs > 1 else None
         arguments = (self.estimator, self.metrics, self.window, self.recordings)
         if self.jobs > 1:
-            return _score_in_worker, ProcessPoolExecutor(self.jobs, initializer=_start_worker, initargs=arguments)
+            return _score_in_worker, _processes(self.jobs, (self._plugins, *arguments))
         return _Scorer(*arguments), None
 
     def _threaded(self, searchers: list[Any]) -> Callable[[tuple[Mapping[str, Any], int]], float]:
@@ -176,8 +180,17 @@ class _Scorer:
 _worker: _Scorer | None = None
 
 
-def _start_worker(estimator: str, metrics: list[str], window: str, recordings: list[Recording]) -> None:
+def _processes(jobs: int, arguments: tuple[Any, ...]) -> Executor:
+    """Fresh processes: one that is forked off beside running threads can hang."""
+    return ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_start_worker, initargs=arguments)
+
+
+def _start_worker(
+    plugins: list[str], estimator: str, metrics: list[str], window: str, recordings: list[Recording]
+) -> None:
     global _worker
+    for path in plugins:
+        load_plugin(path)
     _worker = _Scorer(estimator, metrics, window, recordings)
 
 
@@ -192,12 +205,16 @@ def scenario_space(scenario: Scenario, config: TuneConfig) -> Space:
 
 
 def make_objective(
-    scenario: Scenario, config: TuneConfig, recordings: Sequence[Recording], likelihood: bool = False, jobs: int = 1
+    scenario: Scenario,
+    config: TuneConfig,
+    recordings: Sequence[Recording],
+    likelihood: bool = False,
+    jobs: int = 1,
+    plugins: Sequence[str | Path] = (),
 ) -> Objective:
     """The objective that ``[extra.tune]`` describes, or the likelihood of the innovations on the same recordings."""
     entry = tuned_entry(scenario, config)
     metrics = [DEVIANCE] if likelihood else config.metrics
     space = scenario_space(scenario, config)
-    return Objective(
-        entry.name, entry.params, space, recordings, metrics, config.window, config.stride, config.penalty, jobs
-    )
+    chosen = (metrics, config.window, config.stride, config.penalty, jobs, plugins)
+    return Objective(entry.name, entry.params, space, recordings, *chosen)

@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from testbed import statistics
+from testbed.records import Array
 from testbed.scenario import Scenario
 from testbed.schema import read_toml
 from testbed.tuning.config import RMSE_METRICS, TuneConfig, tuned_entry
@@ -138,7 +139,7 @@ def heldout(scores: pd.DataFrame, config: TuneConfig) -> pd.DataFrame:
     return pd.DataFrame(rows).reindex(columns=columns)
 
 
-STATISTICS = {
+STATISTICS: dict[str, Callable[[Array], Any]] = {
     "min": np.min,
     "max": np.max,
     "mean": np.mean,

@@ -11,12 +11,13 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from testbed.errors import InputError, TestbedError, nearest
+from testbed.registry import load_plugin
 from testbed.scenario import Scenario, dump_toml
 from testbed.tuning.config import TuneConfig, tune_config, tuned_entry
 from testbed.tuning.history import History, write_atomic, write_json
@@ -26,6 +27,8 @@ from testbed.tuning.search import make_search
 KIND = "testbed tuning"
 DATA_SHEET = "data-sheet"
 INNOVATIONS = "innovations"
+SAME_VALUE = 1e-6
+"""Relative difference that another processor may make."""
 FREE = ("algorithms", "iterations", "seeds", "test_runs", "innovation_search", "paper")
 """Keys of ``[extra.tune]`` that may change when a study is resumed: they add searches, or change none."""
 
@@ -61,10 +64,10 @@ class Stopped(TestbedError):
 
 
 def tasks_of(config: TuneConfig) -> list[Task]:
-    """The searches of a study, short ones first; the likelihood search as long as the first of them."""
+    """The searches of a study, short ones first; then the likelihood search, as long as the first of them."""
     out = [Task(a, n, seed) for n in sorted(config.iterations) for seed in config.seeds for a in config.algorithms]
     if config.innovation_search != "none":
-        out.insert(0, Task(config.innovation_search, min(config.iterations), config.seeds[0], True))
+        out.append(Task(config.innovation_search, min(config.iterations), config.seeds[0], True))
     return out
 
 
@@ -77,6 +80,7 @@ def tune(
     only: str | None = None,
     time_limit_s: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    plugins: Sequence[str | Path] = (),
 ) -> Path:
     """Run a study and return its folder; `testbed.tuning.report.write_report` renders it.
 
@@ -84,21 +88,24 @@ def tune(
     no tables. After ``time_limit_s`` the study stops at a whole evaluation; ``resume`` goes on. Raises Stopped when it
     is not complete, InputError for a folder that holds something else.
     """
+    for plugin in plugins:
+        load_plugin(plugin)
     config = config or tune_config(scenario)
-    folder = _open(Path(out), scenario, config, resume or only is not None)
     tasks = tasks_of(config)
     if only is not None:
         names = [task.name for task in tasks]
         if only not in names:
             raise InputError(f"--only {only}: no such search; {nearest(only, names)}")
         tasks = [task for task in tasks if task.name == only]
+    folder = _open(Path(out), scenario, config, resume or only is not None)
+    jobs = jobs or os.cpu_count() or 1
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
     recordings = record(scenario, config, config.train_runs)
     meter = _Meter(sum(task.iterations for task in tasks) * config.population, progress)
-    for likelihood in (True, False):
+    for likelihood in (False, True):
         chosen = [task for task in tasks if task.likelihood == likelihood]
         if chosen:
-            with make_objective(scenario, config, recordings, likelihood, jobs or os.cpu_count() or 1) as objective:
+            with make_objective(scenario, config, recordings, likelihood, jobs, plugins) as objective:
                 for task in chosen:
                     _search(task, config, objective, folder, deadline, meter)
     if only is None:
@@ -119,6 +126,7 @@ def _search(
         task.algorithm, objective.space.bounds, config.population, task.iterations, task.seed, settings
     )
     watch = StopRule(config)
+    _unchanged(history, objective)
     try:
         while not search.done:
             x = search.ask()
@@ -145,6 +153,17 @@ def _search(
     best = int(f.argmin())
     header = f"# Best of {len(f)} evaluations by {task.name}: {'-2 log likelihood per fix' if task.likelihood else 'objective'} {f[best]:.6g}\n"
     write_atomic(folder / "best" / f"{task.name}.toml", (header + parameter_file(objective, x[best])).encode())
+
+
+def _unchanged(history: History, objective: Objective) -> None:
+    """Raise InputError when a stored candidate has another value now: flight, sensors or estimator have changed."""
+    if len(history.f):
+        now = float(objective(history.x[:1])[0])
+        if abs(now - history.f[0]) > SAME_VALUE * abs(now):
+            raise InputError(
+                f"{history.path}: its first candidate had the objective {history.f[0]:.9g} and has {now:.9g} now: the flight, the "
+                "sensors or the estimator have changed since; delete the folder to start anew"
+            )
 
 
 def parameter_file(objective: Objective, x: Any) -> str:

@@ -1,0 +1,75 @@
+"""Networks that are trained before a batch and loaded by its workers: where they are kept, and when they are stale.
+
+The file name is the hash of the estimator's parameters and of the sensors' specifications, which a run can see; the
+hash of the training flights, which only the scenario knows, lies inside the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from testbed.errors import InputError
+from testbed.records import SensorLog, Trajectory
+
+
+class Student(Protocol):
+    """A dataclass that learns by ``fit`` and can write what it learned."""
+
+    name: str
+    networks: str
+
+    def fit(self, flights: Iterable[tuple[SensorLog, Trajectory | None]]) -> None:
+        """Learn."""
+        ...
+
+    def store(self, path: Path, meta: dict[str, Any]) -> None:
+        """Write what was learned as safetensors."""
+        ...
+
+
+AnyStudent = TypeVar("AnyStudent", bound=Student)
+
+
+def weights_path(student: Any, log: SensorLog) -> Path:
+    """Where the networks of these parameters and these sensors are kept."""
+    from testbed import resources, specs
+
+    params = {f.name: getattr(student, f.name) for f in fields(student) if f.init}
+    gnss = specs.to_dict(log.gnss.spec) if log.gnss is not None else {}
+    key = {"class": student.name, "params": params, "imu": specs.to_dict(log.imu.spec), "gnss": gnss}
+    digest = hashlib.sha256(json.dumps(key, sort_keys=True, default=list).encode()).hexdigest()[:16]
+    return resources.cache_root() / "networks" / f"{student.networks}-{digest}.safetensors"
+
+
+def prepare(student: Any, scenario: Any) -> None:
+    """Train on the flights of ``[extra.training]`` and store the networks, unless that is done already."""
+    from estimators.networks.mlp import load_networks
+    from testbed.training_flights import training_digest, training_flights
+
+    digest, flights = training_digest(scenario), training_flights(scenario)
+    path = weights_path(student, flights[0][0])
+    if path.exists() and load_networks(path)[1].get("training") == digest:
+        return
+    learner = replace(student)
+    learner.fit(flights)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    learner.store(unfinished, {"training": digest})
+    unfinished.replace(path)
+
+
+def stored(student: Any, log: SensorLog) -> Path:
+    """The file of the networks that `prepare` stored. Raises InputError when it did not."""
+    path = weights_path(student, log)
+    if not path.exists():
+        raise InputError(
+            f"{student.name}: no networks '{student.networks}' trained for these sensors and parameters; "
+            f"call prepare(scenario) or fit(flights) first (testbed run does)"
+        )
+    return path

@@ -1,0 +1,235 @@
+"""A tuning study as a whole: its folder, resuming after a kill, stop rules, tables, parameter files, refusals."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from testbed.errors import InputError
+from testbed.scenario import Scenario, load_scenario
+from testbed.tuning import tables, tune
+from testbed.tuning.command import tune as tune_command
+from testbed.tuning.config import tune_config
+from testbed.tuning.history import History, per_iteration
+from testbed.tuning.report import write_report
+
+KILLED = Path(__file__).parent / "run_tuning.py"
+RESULTS = ("searches.csv", "history.csv", "scores.csv", "heldout.csv")
+
+
+def scenario(**settings):
+    """12 s of straight flight at 50 Hz, two IMUs, six scales to be tuned."""
+    tuning = {
+        "algorithms": ["pso", "sipo", "de"],
+        "iterations": [4],
+        "population": 5,
+        "train_runs": [0],
+        "test_runs": [1, 2],
+        "innovation_search": "pso",
+        "cases": [{"name": name, "set": {"sensors.imu.model": name}} for name in ("ADIS16405", "ADIS16488")],
+    }
+    data = {
+        "scenario": {"name": "tuned"},
+        "flight": {
+            "aircraft": "aerosonde",
+            "rate_hz": 50.0,
+            "initial": {"alt_m": 500.0, "speed_mps": 30.0},
+            "manoeuvres": [{"type": "straight", "duration_s": 12.0}],
+        },
+        "sensors": {"imu": {"model": "ADIS16405"}, "gnss": {"model": "Garmin16x"}},
+        "estimators": [{"name": "indirect-kf"}],
+        "extra": {"tune": tuning | settings},
+    }
+    return Scenario.model_validate(data)
+
+
+def contents(folder, names=RESULTS):
+    best = {path.name: path.read_bytes() for path in sorted((folder / "best").glob("*.toml"))}
+    return best | {name: (folder / name).read_bytes() for name in names}
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    return tune.tune(scenario(), tmp_path_factory.mktemp("tuning") / "study", jobs=1)
+
+
+def test_folder_holds_every_search(study):
+    names = ["pso-0004-seed1", "sipo-0004-seed1", "de-0004-seed1", "innovations-pso-0004-seed1"]
+    searches = pd.read_csv(study / "searches.csv")
+    assert list(searches["search"]) == names
+    assert (searches["evaluations"] == 20).all()
+    history = pd.read_csv(study / "history.csv")
+    own = history[history["search"] == "pso-0004-seed1"]
+    assert list(own["iteration"]) == [1, 2, 3, 4]
+    assert (
+        own["best"].is_monotonic_decreasing
+        and (own["best"] <= own["mean"]).all()
+        and (own["mean"] <= own["worst"]).all()
+    )
+    scores = pd.read_csv(study / "scores.csv")
+    assert set(scores["case"]) == {"ADIS16405", "ADIS16488"}
+    assert set(scores[scores["set"] == "test"]["run"]) == {1, 2}
+
+
+def test_gnss_alone_is_as_its_data_sheet(study):
+    """12 s at 5 Hz, three runs and two cases of the same fixes: a 5 m sigma within 30 % (about 180 samples: 4 sigma are 21 %)."""
+    scores = pd.read_csv(study / "scores.csv")
+    alone = scores[(scores["row"] == "GNSS alone") & (scores["metric"] == "rmse_north_m")]
+    assert np.sqrt((alone["value"] ** 2).mean()) == pytest.approx(5.0, rel=0.3)
+
+
+@pytest.mark.parametrize("after", [33, 57])
+def test_kill_and_resume_give_the_same_result(study, tmp_path, after):
+    """A process that ends at evaluation 33 or 57 without a chance to tidy up; then --resume."""
+    out = tmp_path / "study"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(KILLED.parent), str(KILLED.parent.parent)])}
+    died = subprocess.run([sys.executable, KILLED, out, str(after)], env=environment, capture_output=True, text=True)
+    assert died.returncode == 9, died.stderr
+    assert not (out / "searches.csv").exists()
+    calls = []
+    tune.tune(scenario(), out, jobs=2, resume=True, progress=calls.append)
+    assert contents(out) == contents(study)
+    assert calls[-1].done == 80
+
+
+def test_interrupt_stores_and_says_how_to_go_on(study, tmp_path):
+    def interrupt(progress):
+        if progress.done >= 10:
+            raise KeyboardInterrupt
+
+    with pytest.raises(tune.Stopped, match="--resume"):
+        tune.tune(scenario(), tmp_path / "s", jobs=1, progress=interrupt)
+    with pytest.raises(InputError, match="--resume"):
+        tune.tune(scenario(), tmp_path / "s", jobs=1)
+    with pytest.raises(tune.Stopped, match="time is up"):
+        tune.tune(scenario(), tmp_path / "s", jobs=1, resume=True, time_limit_s=0.0)
+    tune.tune(scenario(), tmp_path / "s", jobs=1, resume=True)
+    assert contents(tmp_path / "s") == contents(study)
+
+
+def test_another_study_is_refused(study, tmp_path):
+    """And what is there stays as it was."""
+    before = (study / "manifest.json").read_bytes()
+    with pytest.raises(InputError, match="another scenario, space or objective"):
+        tune.tune(scenario(population=6), study, jobs=1, resume=True)
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="no tuning study"):
+        tune.tune(scenario(), tmp_path, jobs=1)
+    with pytest.raises(InputError, match="did you mean 'pso-0004-seed1'"):
+        tune.tune(scenario(), study, jobs=1, only="pso-004-seed1")
+    assert (study / "manifest.json").read_bytes() == before
+
+
+def test_a_changed_filter_is_noticed(study, tmp_path):
+    """A stored value that the estimator no longer gives stops the resume."""
+    space = tune.scenario_space(scenario(), tune_config(scenario()))
+    history = History(tmp_path / "s" / "evaluations" / "pso-0004-seed1.parquet", space.names)
+    true = History(study / "evaluations" / "pso-0004-seed1.parquet", space.names)
+    history.add(true.x, true.f * 1.001, 1.0)
+    history.save()
+    tune.write_json(
+        tmp_path / "s" / "manifest.json",
+        {"kind": tune.KIND, "identity": tune.identity(scenario(), tune_config(scenario()))},
+    )
+    with pytest.raises(InputError, match="have changed since"):
+        tune.tune(scenario(), tmp_path / "s", jobs=1, resume=True)
+
+
+def test_parameter_file_gives_the_stored_objective(study, tmp_path):
+    """A scenario that names the file runs the tuned filter: its scores add up to what ``scores.csv`` says."""
+    text = (
+        scenario()
+        .to_toml()
+        .replace('name = "indirect-kf"', f'name = "indirect-kf"\nparams_file = "{study}/best/pso-0004-seed1.toml"')
+    )
+    (tmp_path / "tuned.toml").write_text(text)
+    read = load_scenario(tmp_path / "tuned.toml")
+    scale = pd.read_csv(study / "searches.csv").set_index("search").loc["pso-0004-seed1", "gyro_noise_scale"]
+    assert read.estimators[0].params["gyro_noise_scale"] == pytest.approx(10.0**scale, rel=1e-8)
+
+
+def test_stop_rules():
+    config = tune_config(scenario(target=1.0, population=2, stall=2))
+    rule = tune.StopRule(config)
+    assert not rule.stops(np.array([5.0, 4.0]))
+    assert not rule.stops(np.array([4.0, 6.0]))
+    assert rule.stops(np.array([4.0, 6.0])), "two iterations without improvement"
+    rule = tune.StopRule(config)
+    assert not rule.stops(np.array([0.5])), "only whole iterations end a search"
+    assert rule.stops(np.array([3.0]))
+
+
+def test_stalled_search_is_short(tmp_path):
+    out = tune.tune(
+        scenario(algorithms=["sipo"], iterations=[40], stall=3, innovation_search="none", test_runs=[]),
+        tmp_path / "s",
+        jobs=1,
+    )
+    searches = pd.read_csv(out / "searches.csv")
+    assert searches["evaluations"].iloc[0] < 200
+    assert "test" not in set(pd.read_csv(out / "scores.csv")["set"])
+
+
+def test_iterations_of_a_history():
+    frame = per_iteration(np.array([3.0, 5.0, 4.0, 2.0, 1.0]), 2)
+    assert list(frame["best"]) == [3.0, 2.0, 1.0]
+    assert list(frame["mean"]) == [4.0, 3.0, 1.0]
+    assert list(frame["worst"]) == [5.0, 4.0, 1.0]
+
+
+def test_rank_sums_by_hand():
+    """Ranks 1 2, 1 2 and a tie: 3.5 and 5.5; time is not ranked."""
+    index = pd.MultiIndex.from_tuples(
+        [("fitness", "min"), ("fitness", "max"), ("x", "min"), ("seconds", "min")], names=["quantity", "statistic"]
+    )
+    table = pd.DataFrame({"a": [1.0, 2.0, 3.0, 9.0], "b": [2.0, 4.0, 3.0, 1.0]}, index=index)
+    ranks = tables.rank_sums(table)
+    assert list(ranks["rank_sum"]) == [3.5, 5.5]
+    assert list(ranks["place"]) == [1, 2]
+
+
+def test_report(study, tmp_path):
+    text = write_report(study, tmp_path).read_text()
+    for expected in ("Rank sums", "convergence.png", "data-sheet", "innovations-pso-0004-seed1"):
+        assert expected in text
+    for name in (
+        "convergence.png",
+        "variables.png",
+        "best-ADIS16405.png",
+        "best-ADIS16488.png",
+        "table2.csv",
+        "table4.csv",
+    ):
+        assert (tmp_path / name).stat().st_size > 0
+
+
+def test_report_needs_a_finished_study(tmp_path):
+    with pytest.raises(InputError, match="no tuning study"):
+        write_report(tmp_path)
+
+
+def test_command(tmp_path, capsys):
+    tune_command(scenario(), tmp_path / "s", algorithms="pso", iterations="2", population=3, seeds="1,2", jobs=1)
+    captured = capsys.readouterr()
+    assert "data-sheet" in captured.out and "pso-0002-seed2" in captured.out and "findings.md" in captured.out
+    assert "left" in captured.err and "best" in captured.err
+    with pytest.raises(InputError, match="whole numbers"):
+        tune_command(scenario(), tmp_path / "t", iterations="many")
+
+
+@pytest.mark.parametrize("variant", [None, "as-stated", "ADIS16488", "navego", "navego-both"])
+def test_shipped_scenario_has_eighteen_variables(variant):
+    made = load_scenario("ipo-2022", variant=variant)
+    config = tune_config(made)
+    space = tune.scenario_space(made, config)
+    assert len(space.names) == 18
+    assert (made.recording is not None) == (variant in ("navego", "navego-both"))
+    assert len(config.cases) == (1 if variant == "navego" else 2)
+    low = 0.0 if variant == "as-stated" else -3.0
+    assert (space.bounds.low == low).all()
