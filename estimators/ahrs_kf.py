@@ -47,14 +47,14 @@ class AhrsKf:
     The defaults are the best of a search on training flights of the scenario ahrs-lstm-2022.
     """
 
-    linear_accel_mps2: float = 8.1
-    linear_accel_time_s: float = 0.034
-    mag_disturbance_ut: float = 0.86
-    mag_disturbance_time_s: float = 3500.0
-    gyro_noise_scale: float = 1.1
-    gyro_bias_scale: float = 0.06
-    accel_noise_scale: float = 0.5
-    mag_noise_scale: float = 6.3
+    linear_accel_mps2: float = 10.5
+    linear_accel_time_s: float = 0.027
+    mag_disturbance_ut: float = 0.88
+    mag_disturbance_time_s: float = 12000.0
+    gyro_noise_scale: float = 1.48
+    gyro_bias_scale: float = 0.11
+    accel_noise_scale: float = 0.33
+    mag_noise_scale: float = 8.2
 
     name: ClassVar[str] = "ahrs-kf"
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = {

@@ -1,8 +1,9 @@
-"""Training of `ahrs-lstm`: truncated back-propagation through the attitude filter, in batches of windows (torch).
+"""Training of `ahrs-lstm`: truncated back-propagation through the filter's errors, in batches of windows (torch).
 
-The filter of `ahrs_kernels` is written once more on batches that torch differentiates: the gradient runs through
-attitude, bias and disturbance states; the covariance recursion, and with it the KF's own K, is taken as given. Loss: mean
-square of the tilt error after the corrected update (roll and pitch are what is scored), plus a little of all three axes.
+The filter runs with the corrected gain; the loss is the expected square of the attitude error after each corrected update
+(`ahrs_torch.ErrorBudget`), tilt above all, since roll and pitch are scored. What the network reads is taken as given, as
+is the covariance recursion. The plain loss, the error of the filter's own attitude, was tried first and did not learn: one
+flight's error is so persistent that its chance correlation with the accelerations drowns the gradient.
 SI units, µT. Flights are objects like `testbed.dataset.Shard`: ``rows``, ``window(start, rows)``, ``log()``.
 """
 
@@ -20,11 +21,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import nn
 
 from estimators.ahrs_kf import AhrsKf, prepare
 from estimators.ahrs_lstm import ACTIVATIONS, assemble
-from estimators.ahrs_lstm_kernels import CLIP, INPUTS
+from estimators.ahrs_torch import Batch, BatchFilter, ErrorBudget, GainNetwork
 from testbed.errors import InputError
 
 DEGREES = 180.0 / np.pi
@@ -39,11 +40,9 @@ class Settings:
     activation: str = "sigmoid"
     epochs: int = 10
     batch: int = 64
-    """Windows in a batch. Each is there twice, with opposite attitude errors at its start: what correlates by chance
-    between error and disturbance cancels."""
     interleave: int = 4
     """Batches that take turns, a chunk each, so that one update after another sees other windows."""
-    window_s: float = 30.0
+    window_s: float = 150.0
     chunk: int = 50
     """Samples through which the gradient runs back."""
     optimiser: str = "adam"
@@ -51,11 +50,12 @@ class Settings:
     learning_rate: float = 1e-3
     final_rate: float = 0.1
     """The rate falls to this part of itself over the training, along a cosine."""
+    horizon_s: float = 30.0
+    """The loss also has the attitude error that the error of the bias brings within this time: chunks are too short to
+    show it."""
     yaw_weight: float = 0.05
     """Weight of the attitude error about all axes beside the tilt error."""
     gradient_limit: float = 1.0
-    start_error: float = 0.8
-    """Attitude errors at the start of a window are those of the KF at other times, times this."""
     reference_noise_deg: float = 0.0
     """1 sigma of a constant error of the reference attitude per window, per axis (the paper's reference: 0.5)."""
     seed: int = 0
@@ -73,141 +73,6 @@ class Settings:
             raise InputError("training: window_s and learning_rate must be positive, final_rate within (0, 1]")
 
 
-class GainNetwork(nn.Module):
-    """90 inputs to the residual of the gain, 72, in units of ``scale``; starts at zero."""
-
-    def __init__(self, settings: Settings, mean: Tensor, std: Tensor, scale: Tensor) -> None:
-        super().__init__()
-        n = settings.neurons
-        self.curved = settings.activation == "sigmoid"
-        self.input = nn.Linear(INPUTS, n)
-        self.lstm = nn.ModuleList(nn.LSTMCell(n, n) for _ in range(settings.layers))
-        self.head = nn.Linear(n, 72)
-        nn.init.zeros_(self.head.weight)
-        nn.init.zeros_(self.head.bias)
-        self.mean: Tensor
-        self.std: Tensor
-        self.scale: Tensor
-        self.register_buffer("mean", mean)
-        self.register_buffer("std", std)
-        self.register_buffer("scale", scale)
-
-    def forward(
-        self, inputs: Tensor, memory: list[tuple[Tensor, Tensor]]
-    ) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
-        """Change of the transposed gain (B,6,12), and the memory after this step."""
-        x = self.input(((inputs - self.mean) / self.std).clamp(-float(CLIP), float(CLIP)))
-        if self.curved:
-            x = torch.sigmoid(x)
-        after = []
-        for cell, (h, c) in zip(self.lstm, memory, strict=True):
-            x, c = cell(x, (h, c))
-            after.append((x, c))
-        return (self.head(x) * self.scale).view(-1, 6, 12), after
-
-    def start(self, batch: int) -> list[tuple[Tensor, Tensor]]:
-        """An empty memory."""
-        zero = self.scale.new_zeros(batch, self.head.in_features)
-        return [(zero, zero) for _ in self.lstm]
-
-
-@dataclass
-class Batch:
-    """B windows: samples (B,T,3), true C_nb (B,T+1,3,3) from the start on, field (B,3), gravity (B,), the KF's state."""
-
-    gyro: Tensor
-    accel: Tensor
-    mag: Tensor
-    truth: Tensor
-    field_n: Tensor
-    gravity: Tensor
-    c_nb: Tensor
-    bias: Tensor
-    disturbance: Tensor
-    p: Tensor
-
-
-class BatchFilter:
-    """The filter on a batch: `step` is `ahrs_kernels.filter_log`'s loop body. ``model`` are the figures of its MODEL."""
-
-    def __init__(self, model: Sequence[float], device: torch.device, dtype: torch.dtype) -> None:
-        self.dt, (_, fa, fd) = float(model[9]), [float(v) for v in model[6:9]]
-        as_tensor = lambda values: torch.as_tensor(np.asarray(values), device=device, dtype=dtype)  # noqa: E731
-        decay = np.repeat([1.0, float(model[6]), fa, fd], 3)
-        self.decay = as_tensor(np.repeat([fa, fd], 3))
-        self.phi = as_tensor(np.diag(decay) - self.dt * np.eye(12, k=3) * (np.arange(12) < 3)[:, None])
-        self.q = as_tensor(np.diag(np.repeat([model[0] * self.dt**2, *model[1:4]], 3)))
-        self.r = as_tensor(np.diag(np.repeat(model[4:6], 3)))
-        h = np.zeros((6, 12))
-        h[:3, 6:9], h[3:, 9:] = -np.eye(3), np.eye(3)
-        self.h = as_tensor(h)
-        generators = np.zeros((3, 3, 3))
-        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            generators[i, k, j], generators[i, j, k] = 1.0, -1.0
-        self.generators = as_tensor(generators.reshape(3, 9))
-        self.eye = as_tensor(np.eye(3))
-
-    def cross(self, v: Tensor) -> Tensor:
-        """[v×] (B,3,3) of (B,3)."""
-        return (v @ self.generators).view(-1, 3, 3)
-
-    def rotation(self, v: Tensor) -> Tensor:
-        """exp([v×]) by its series: exact to float precision for the small turns of one sample."""
-        n2 = (v * v).sum(1).clamp(max=1.0)[:, None, None]
-        m = self.cross(v)
-        return self.eye + (1 - n2 / 6 * (1 - n2 / 20)) * m + (0.5 - n2 / 24 * (1 - n2 / 30)) * (m @ m)
-
-    @torch.no_grad()
-    def gain(self, p: Tensor, turn: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """Transposed Kalman gain (B,6,12) and updated covariance, from those before the sample."""
-        phi = self.phi.expand(len(p), 12, 12).clone()
-        phi[:, :3, :3] = turn.transpose(1, 2)
-        p = phi @ p @ phi.transpose(1, 2) + self.q
-        h = self.h.expand(len(p), 6, 12).clone()
-        h[:, :3, :3], h[:, 3:, :3] = self.cross(seen[:, :3]), self.cross(seen[:, 3:])
-        hp = h @ p
-        factor = torch.linalg.cholesky(hp @ h.transpose(1, 2) + self.r)
-        y = torch.linalg.solve_triangular(factor, hp, upper=False)
-        k = torch.linalg.solve_triangular(factor.transpose(1, 2), y, upper=True)
-        p = p - y.transpose(1, 2) @ y
-        return k, 0.5 * (p + p.transpose(1, 2))
-
-    def step(
-        self, b: Batch, n: int, network: GainNetwork | None, memory: list[tuple[Tensor, Tensor]]
-    ) -> list[tuple[Tensor, Tensor]]:
-        """Filter sample ``n`` of every window; the state in ``b`` and the memory go on."""
-        turn = self.rotation((b.gyro[:, n] - b.bias) * self.dt)
-        c_nb = b.c_nb @ turn
-        disturbance = b.disturbance * self.decay
-        gravity = c_nb[:, 2, :] * b.gravity[:, None]
-        field = torch.einsum("bij,bi->bj", c_nb, b.field_n)
-        z = torch.cat([disturbance[:, :3] - b.accel[:, n] - gravity, b.mag[:, n] - disturbance[:, 3:] - field], 1)
-        k, b.p = self.gain(b.p, turn, torch.cat([gravity, field], 1))
-        if network is not None:
-            inputs = self.inputs(z, k, b.bias, disturbance)
-            change, memory = network(inputs, memory)
-            k = k + change
-        x = torch.einsum("bci,bc->bi", k, z)
-        b.c_nb = c_nb @ self.rotation(x[:, :3])
-        b.bias = b.bias + x[:, 3:6]
-        b.disturbance = disturbance + x[:, 6:]
-        return memory
-
-    @staticmethod
-    def inputs(z: Tensor, k: Tensor, bias: Tensor, disturbance: Tensor) -> Tensor:
-        """(B,90), as `ahrs_lstm_kernels.gather`."""
-        x = torch.einsum("bci,bc->bi", k, z)
-        whole = x + torch.cat([torch.zeros_like(bias), bias, disturbance], 1)
-        return torch.cat([z, whole, k.flatten(1)], 1)
-
-
-def attitude_loss(b: Batch, n: int, yaw_weight: float) -> tuple[Tensor, Tensor]:
-    """Mean square errors (deg²) after sample ``n``: of the tilt (roll and pitch together), and the loss."""
-    difference = b.c_nb - b.truth[:, n + 1]
-    tilt = (difference[:, 2] ** 2).sum(1).mean() * DEGREES**2
-    return tilt, tilt + yaw_weight * 0.5 * (difference**2).sum((1, 2)).mean() * DEGREES**2
-
-
 @dataclass
 class Prepared:
     """A flight with the KF's own states at every ``stride``-th row, where windows may start."""
@@ -220,13 +85,11 @@ class Prepared:
     model: NDArray[np.float64]
     accel_bias: NDArray[np.float64]
     features: NDArray[np.float64]
-    errors: NDArray[np.float64]
 
 
 def prepare_flight(flight: Any, filter_: AhrsKf, stride: int) -> Prepared:
     """Run the KF over a flight once, and keep its states and inputs at window starts."""
     from estimators.ahrs_kernels import filter_log
-    from testbed.rotations import attitude_errors
 
     log = flight.log()
     n, (state, p) = len(log.imu.t), filter_.start(log)
@@ -238,8 +101,6 @@ def prepare_flight(flight: Any, filter_: AhrsKf, stride: int) -> Prepared:
     filter_log(*recording, model, state, p, stride, states, std, snapshots, z, s)
     at = states[stride - 1 :: stride]
     features = _features(snapshots, z, at, model, recording.field_n)
-    truth = flight.window(0, n)["q_nb"][stride - 1 :: stride].astype(np.float64)
-    errors = attitude_errors(np.ascontiguousarray(at[:, :4]), truth)
     return Prepared(
         flight,
         stride,
@@ -249,7 +110,6 @@ def prepare_flight(flight: Any, filter_: AhrsKf, stride: int) -> Prepared:
         model,
         log.initial.accel_bias,
         features,
-        errors,
     )
 
 
@@ -290,7 +150,7 @@ def make_batch(
     at = [start // prepared.stride for prepared, start in windows]
     states = np.stack([prepared.states[k] for (prepared, _), k in zip(windows, at, strict=True)])
 
-    def tensor(values: Any) -> Tensor:
+    def tensor(values: Any) -> torch.Tensor:
         return torch.as_tensor(np.ascontiguousarray(values)).to(device, dtype)
 
     truth = np.stack([quats_to_matrices(d["q_nb"].astype(np.float64)) for d in before])
@@ -344,8 +204,12 @@ class _Training:
         self.norm = normalisation(self.flights)
         torch.manual_seed(settings.seed)
         tensors = {key: torch.as_tensor(value) for key, value in self.norm.items()}
-        self.network = GainNetwork(settings, **tensors).to(self.device)
-        self.filter = BatchFilter(self.flights[0].model, self.device, torch.float32)
+        shape = (settings.layers, settings.neurons, settings.activation)
+        self.network = GainNetwork(*shape, **tensors).to(self.device)
+        model, gyro = self.flights[0].model, training[0].log().imu.spec.gyro
+        self.filter = BatchFilter(model, self.device, torch.float32)
+        markov = (gyro.gauss_markov_sigma(), gyro.correlation_time_s)
+        self.budget = ErrorBudget(self.filter, model, gyro.rate_random_walk, markov)
         kinds = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD}
         self.optimiser = kinds[settings.optimiser](self.network.parameters(), lr=settings.learning_rate)
         self.updates = 0
@@ -400,34 +264,41 @@ class _Training:
         chunks, told = range(0, self.rows, self.settings.chunk), time.monotonic()
         for g, group in enumerate(groups):
             loaded = [self._start(windows, rng) for windows in group]
-            memories = [self.network.start(len(b.truth)) for b in loaded]
+            states = [(self.network.start(len(b.truth)), self.budget.start(b)) for b in loaded]
             for k, chunk in enumerate(chunks):
                 self._set_rate(epoch + (g + k / len(chunks)) / len(groups))
                 for i, batch in enumerate(loaded):
-                    memories[i], tilt = self._update(batch, chunk, memories[i])
+                    states[i], tilt = self._update(batch, chunk, states[i])
                     tilts.append(tilt)
                 if time.monotonic() - told > 20.0:
                     told, part = time.monotonic(), (g + (k + 1) / len(chunks)) / len(groups)
                     self.tell(f"  epoch {epoch + 1}, {100 * part:.0f} %: {np.sqrt(np.mean(tilts[-100:]) / 2):.4f} deg")
         return float(np.sqrt(np.mean(tilts) / 2.0))
 
-    def _update(self, b: Batch, start: int, memory: Any) -> tuple[Any, float]:
-        """One step of the optimiser on one chunk; returns the detached memory and the mean square tilt (deg²)."""
-        b.c_nb, b.bias, b.disturbance = _orthonormal(b.c_nb.detach()), b.bias.detach(), b.disturbance.detach()
-        memory = [(h.detach(), c.detach()) for h, c in memory]
+    def _update(self, b: Batch, start: int, state: Any) -> tuple[Any, float]:
+        """One step of the optimiser on one chunk; returns memory and errors after it, and the mean square tilt (deg²)."""
+        b.c_nb = _orthonormal(b.c_nb)
+        memory = [(h.detach(), c.detach()) for h, c in state[0]]
+        errors = (state[1][0].detach(), state[1][1].detach())
         tilts, losses = [], []
         for n in range(start, start + self.settings.chunk):
-            memory = self.filter.step(b, n, self.network, memory)
-            tilt, loss = attitude_loss(b, n, self.settings.yaw_weight)
+            z, k, turn = self.filter.before(b, n)
+            change, memory = self.network(self.filter.inputs(z, k, b.bias, b.disturbance), memory)
+            k = k + change
+            self.filter.after(b, z, k)
+            seen = self.filter.seen(b, b.truth[:, n + 1])
+            beyond = torch.cat([-b.accel[:, n], b.mag[:, n]], 1) - seen
+            errors = self.budget.step(errors, turn, seen, beyond, k)
+            tilt, loss = self.budget.cost(errors, seen, self.settings.yaw_weight, self.settings.horizon_s)
             tilts.append(tilt.detach())
             losses.append(loss)
         self.optimiser.zero_grad(set_to_none=True)
-        torch.stack(losses).mean().backward()
+        (torch.stack(losses).mean() * DEGREES**2).backward()
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.gradient_limit)
         if bool(torch.isfinite(norm)):
             self.optimiser.step()
             self.updates += 1
-        return memory, float(torch.stack(tilts).mean())
+        return (memory, errors), float(torch.stack(tilts).mean()) * DEGREES**2
 
     def _set_rate(self, progress: float) -> None:
         s = self.settings
@@ -437,19 +308,12 @@ class _Training:
             group["lr"] = s.learning_rate * warm * (s.final_rate + (1.0 - s.final_rate) * fall)
 
     def _start(self, windows: list[tuple[Prepared, int]], rng: np.random.Generator) -> Batch:
-        """Load windows twice over and give each pair opposite attitude errors about the truth."""
-        single = make_batch(windows, self.rows, self.device)
-        batch = Batch(**{key: torch.cat([value, value]) for key, value in vars(single).items()})
-        pool = np.concatenate([f.errors[len(f.errors) // 50 :] for f in self.flights])
-        drawn = self.settings.start_error * pool[rng.integers(len(pool), size=len(windows))]
-
-        def turn(vectors: NDArray[np.float64]) -> Tensor:
-            return self.filter.rotation(torch.as_tensor(vectors).to(self.device, torch.float32))
-
-        batch.c_nb = turn(np.vstack([drawn, -drawn])) @ batch.truth[:, 0]
+        """Load windows, with an error of the reference where one is asked for."""
+        batch = make_batch(windows, self.rows, self.device)
         if self.settings.reference_noise_deg:
             error = rng.normal(0.0, self.settings.reference_noise_deg / DEGREES, (len(windows), 3))
-            batch.truth = batch.truth @ turn(np.vstack([error, error]))[:, None]
+            turn = self.filter.rotation(torch.as_tensor(error).to(self.device, torch.float32))
+            batch.truth = batch.truth @ turn[:, None]
         return batch
 
     def _validate(self) -> float:
@@ -506,7 +370,7 @@ class _Training:
                 f"{self._checkpoint}: was made with other settings; train without --resume, or in another folder"
             )
         self.network.load_state_dict({k[8:]: torch.as_tensor(v) for k, v in arrays.items() if k.startswith("network.")})
-        entries: dict[int, dict[str, Tensor]] = {}
+        entries: dict[int, dict[str, torch.Tensor]] = {}
         for key, value in arrays.items():
             if key.startswith("optimiser."):
                 _, index, name = key.split(".")
@@ -535,7 +399,7 @@ def _truth(flight: Any) -> NDArray[np.float64]:
     return quats_to_eulers(flight.window(0, flight.rows)["q_nb"].astype(np.float64))  # type: ignore[no-any-return]
 
 
-def _orthonormal(c_nb: Tensor) -> Tensor:
+def _orthonormal(c_nb: torch.Tensor) -> torch.Tensor:
     """The rotation matrix nearest to one that is off by rounding (one Newton step)."""
     return 0.5 * c_nb @ (3.0 * torch.eye(3, device=c_nb.device, dtype=c_nb.dtype) - c_nb.transpose(1, 2) @ c_nb)
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from estimators.lkf9 import Array, FreeIns, Measurements, OpenLoop, fixes_of, free_ins, gnss_measurements, run_filter
 from estimators.networks.levenberg_marquardt import Training
 from estimators.networks.regressors import REGRESSORS, fit_regressor
+from testbed import earth
 from testbed.errors import InputError, nearest
 from testbed.records import GnssFixes, NavSolution, SensorLog
 from testbed.streams import stable_hash
@@ -83,8 +84,8 @@ class Ann(Learner):
             rows = np.flatnonzero((solution.t > start) & (solution.t < end))
             error = network_outputs(self, ins, networks, solution.t[rows], 1.0 / gnss.spec.rate_hz)
             lat[rows], lon[rows], h[rows] = (ins.lla[rows + 1] - error[:, 3:]).T
-            outputs.append((times, network_outputs(self, ins, networks, times, 1.0 / gnss.spec.rate_hz)[:, 3:]))
-        return _with(solution, outputs, lat=lat, lon=lon, h=h)
+            outputs.append((times, network_outputs(self, ins, networks, times, 1.0 / gnss.spec.rate_hz)))
+        return _with(solution, ins, outputs, lat=lat, lon=lon, h=h)
 
 
 @dataclass(frozen=True)
@@ -116,10 +117,10 @@ class Kfann(Learner):
             value = network_outputs(self, ins, networks, times, 1.0 / gnss.spec.rate_hz)
             std = np.tile(self._std(ins, real, known, networks, 1.0 / gnss.spec.rate_hz), (len(times), 1))
             parts.append(Measurements(times, value, std, np.full(len(times), 0 if self.velocity else 3)))
-            outputs.append((times, value[:, 0 if self.velocity else 3 :]))
+            outputs.append((times, value))
         order = np.argsort(np.concatenate([part.t for part in parts]), kind="stable")
         fed = Measurements(*(np.concatenate([getattr(p, key) for p in parts])[order] for key in vars(real)))
-        return _with(run_filter(self, log, ins, fed), outputs)
+        return _with(run_filter(self, log, ins, fed), ins, outputs)
 
     def _std(self, ins: FreeIns, real: Measurements, known: Mask, networks: Networks, step: float) -> Array:
         if self.pseudo_noise == "gnss":
@@ -190,9 +191,14 @@ def network_outputs(settings: Learner, ins: FreeIns, networks: Networks, t: Arra
     return out
 
 
-def _with(solution: NavSolution, outputs: list[tuple[Array, Array]], **changed: Array) -> NavSolution:
-    """The solution with the networks' outputs as an extra (position errors in rad and m, after any velocity errors)."""
+def _with(solution: NavSolution, ins: FreeIns, outputs: list[tuple[Array, Array]], **changed: Array) -> NavSolution:
+    """The solution with the networks' outputs (time, (M,6) as `TARGETS`) as an extra: INS error north, east, down in metres."""
     values = dict(vars(solution)) | changed
     if outputs:
-        values["extras"] = {"network_output": tuple(np.concatenate(part) for part in zip(*outputs, strict=True))}
+        t, error = (np.concatenate(part) for part in zip(*outputs, strict=True))
+        lla, _ = ins.at(t)
+        north, east = earth.metres_per_radian(lla[:, 0], lla[:, 2])
+        place = np.column_stack([error[:, 3] * north, error[:, 4] * east, -error[:, 5]])
+        values["extras"] = {"network_output": (t, place)}
+        values["extra_names"] = {"network_output": ("north, m", "east, m", "down, m")}
     return NavSolution(**values)

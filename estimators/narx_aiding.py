@@ -19,6 +19,7 @@ from estimators.narx_networks import (
     CANDIDATES,
     P_DP,
     SINCE_RESET,
+    TARGETS,
     Drift,
     DriftNetworks,
     Structure,
@@ -53,8 +54,8 @@ class NarxAiding:
 
     filter: Kind = "ukf"
     inputs: str | Sequence[str] = "mrmr"
-    """``mrmr``: the ``input_count`` best of the thesis's ten, per target; ``all`` ten; ``p-dp``; ``since-reset``: MRMR among changes
-    since the re-set and angles; or a list of names, the same for every target."""
+    """``mrmr``: the ``input_count`` best of the thesis's ten, per target; ``all`` ten; ``p-dp``: own channel and time;
+    ``since-reset``: angles, time, and what changed since the re-set; or a list of names for every target."""
     input_count: int = 4
     output_lags: int = -1
     """-1: from the Lipschitz curve; 0: a plain feed-forward network."""
@@ -75,6 +76,7 @@ class NarxAiding:
     goal: float = 1e-6
     """Mean square normalised error at which an update ends."""
     decay: float = 0.0
+    """Weight of the squared network weights against the mean square normalised error."""
     networks: str = ""
     """Name of stored networks; empty: those of `fit`, or on-line learning from nothing."""
 
@@ -115,7 +117,7 @@ class NarxAiding:
             )
         held_back = drifts[HELD_BACK - 1 :: HELD_BACK]
         known = [drift for k, drift in enumerate(drifts) if k % HELD_BACK != HELD_BACK - 1]
-        networks = DriftNetworks(self.structure(known)).train(known, self._offline())
+        networks = DriftNetworks(self.structure(known)).train(known, self._offline(known))
         object.__setattr__(self, "_trained", networks.with_statistics(held_back))
 
     def prepare(self, scenario: Any) -> None:
@@ -137,12 +139,23 @@ class NarxAiding:
             else:
                 flight.main.run_to(stretch.end, flight.fixes)
 
+    def learning_data(self, flights: Iterable[tuple[SensorLog, Trajectory | None]]) -> Any:
+        """Candidate inputs and targets of flights without outages, for `testbed features`."""
+        from testbed.features.learning import LearningData
+
+        drifts = [drift for log, _ in flights for drift in self.lessons(log)]
+        if not drifts:
+            raise InputError(f"{self.name}: no window of {self.longest_outage_s:g} s in these flights")
+        y = np.vstack([drift.y for drift in drifts])
+        candidates = np.vstack([drift.columns(CANDIDATES) for drift in drifts])
+        return LearningData(CANDIDATES, candidates, dict(zip(TARGETS, y.T, strict=True)))
+
     def structure(self, drifts: Sequence[Drift]) -> Structure:
         """Inputs and lags as the parameters say, chosen from the data where they say so."""
         if self.inputs == "mrmr":
             inputs = select_inputs(drifts, self.input_count)
         elif self.inputs == "since-reset":
-            inputs = select_inputs(drifts, self.input_count, ("roll", "pitch", "yaw", "t", *SINCE_RESET))
+            inputs = (("roll", "pitch", "yaw", "t", *SINCE_RESET),) * 6
         elif self.inputs == "p-dp":
             inputs = P_DP
         else:
@@ -155,11 +168,12 @@ class NarxAiding:
             inputs, tuple((ny if ny >= 0 else a, nu if nu >= 0 else b) for a, b in found), self.neurons, self.seed
         )
 
-    def _offline(self) -> Training:
-        return Training(epochs=self.epochs, goal=self.goal, decay=self.decay)
+    def _offline(self, drifts: Sequence[Drift]) -> Training:
+        return Training(epochs=self.epochs, goal=self.goal, decay=self.decay * _rows(drifts))
 
-    def _online(self) -> Training:
-        return Training(epochs=self.online_epochs, goal=self.goal, decay=self.decay, validation_share=0.0)
+    def _online(self, drifts: Sequence[Drift]) -> Training:
+        decay = self.decay * _rows(drifts)
+        return Training(epochs=self.online_epochs, goal=self.goal, decay=decay, validation_share=0.0)
 
     def initial_networks(self, log: SensorLog) -> DriftNetworks | None:
         """What is known before take-off. Raises InputError when the named networks were never trained."""
@@ -171,15 +185,20 @@ class NarxAiding:
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log, learning while there is GNSS. Raises InputError when it has no GNSS."""
         flight = _Flight(self, log)
-        networks, seen, outputs, limits = self.initial_networks(log), [], [], []
+        networks = self.initial_networks(log)
+        seen: list[Drift] = []
+        outputs: list[tuple[Array, Array]] = []
+        limits: list[tuple[float, int]] = []
         for stretch in flight.plan():
             if stretch.kind == "lesson":
                 drift = flight.lesson(stretch)
-                seen = [*seen[1 - self.online_windows :], drift] if self.online_windows > 1 else [drift]
+                seen = [*seen, drift][-self.online_windows :]
                 if networks is None:
-                    networks = DriftNetworks(self.structure(seen)).train(seen, self._offline()).with_statistics(seen)
+                    networks = (
+                        DriftNetworks(self.structure(seen)).train(seen, self._offline(seen)).with_statistics(seen)
+                    )
                 elif self.online_epochs:
-                    networks = networks.train(seen, self._online())
+                    networks = networks.train(seen, self._online(seen))
             elif stretch.kind == "outage" and networks is not None and len(stretch.t) > 1:
                 drift = flight.free_drift(stretch)
                 output, limited = networks.closed_loop(drift)
@@ -228,6 +247,8 @@ class Nnakf(NarxAiding):
 
     tune_p: bool = True
     """Whether P is enlarged at the start of an outage by what the drifts of the offline flight exceeded it."""
+    correlated: bool = False
+    """Whether R takes the errors of one outage for one error and not, as the thesis, for as many as there are epochs."""
 
     name: ClassVar[str] = "nnakf"
 
@@ -236,7 +257,10 @@ class Nnakf(NarxAiding):
 
     def bridge(self, flight: _Flight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks) -> None:
         z = flight.free_readings + output + networks.mean
-        r = np.maximum(networks.std, np.sqrt(flight.task.gnss_r.min(axis=0))) ** 2
+        last_fix = np.searchsorted(flight.fixes.t, stretch.t[0] + 1e-6) - 1
+        r = np.maximum(networks.std**2, flight.fixes.r[last_fix])
+        if self.correlated:
+            r = r * (len(z) - 1)
         if self.tune_p:
             flight.main.p *= max(1.0, networks.growth)
         flight.main.run_to(stretch.end, Fixes(stretch.t[1:], z[1:], np.tile(r, (len(z) - 1, 1))), keep=True)
@@ -325,9 +349,15 @@ class _Flight:
         )
         extras = {"test_statistic": (self.fixes.t[:used], self.fixes.figures[:used, 0])}
         if outputs:
-            extras["network_output"] = tuple(np.concatenate(part) for part in zip(*outputs, strict=True))
-            extras["network_limited"] = tuple(np.array(part, dtype=float) for part in zip(*limits, strict=True))
+            t, values = zip(*outputs, strict=True)
+            extras["network_output"] = np.concatenate(t), np.concatenate(values)
+            starts, counts = zip(*limits, strict=True)
+            extras["network_limited"] = np.array(starts), np.array(counts, dtype=float)
         return self.task.solution(used, extras)
+
+
+def _rows(drifts: Sequence[Drift]) -> int:
+    return sum(len(drift.t) for drift in drifts)
 
 
 def _at(t: Array, grid: Array, states: Array) -> Array:

@@ -14,7 +14,15 @@ ROOT = Path(__file__).resolve().parent
 RESULTS = ROOT.parent / "results" / "report"
 SCENARIOS: dict[str, list[str | None]] = {
     "imm-rstekf-2023": [None, "coarse-aligned"],
-    "kfann-2018": [None, "magnitude-matched"],
+    "kfann-2018": [
+        None,
+        "magnitude-matched",
+        "magnitude-matched-2",
+        "magnitude-matched-3",
+        "as-stated-2",
+        "as-stated-3",
+        "regressors",
+    ],
 }
 """Paper scenarios and the variants that are reported (None: as the file stands)."""
 KEPT = (

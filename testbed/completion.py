@@ -59,7 +59,7 @@ def starting_files(incomplete: str) -> list[str]:
 
 def _tables(ctx: typer.Context, key: str) -> Any:
     """A top-level table of the scenario in the line; empty where there is none to read."""
-    name = ctx.params.get("scenario") or ""
+    name = ctx.params.get("scenario") or next((word for word in ctx.args if not word.startswith("-")), "")
     shipped = resources.scenario_root() / f"{name}.toml"
     try:
         return tomllib.loads((shipped if shipped.is_file() else Path(name)).read_text(encoding="utf-8")).get(key, {})

@@ -26,8 +26,8 @@ def new_file(kind: str, name: str, folder: Path = Path()) -> Path:
         raise InputError(f"no starting file for '{kind}'; {nearest(kind, KINDS)}")
     if not NAME.fullmatch(name):
         raise InputError(f"'{name}': a name is letters and digits, words joined by '-' or '_', for example my-{kind}")
-    path, text = KINDS[kind](name)
-    path = folder / path
+    file_name, text = KINDS[kind](name)
+    path = folder / file_name
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

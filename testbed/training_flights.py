@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from typing import Any
 
 from pydantic import Field
 
@@ -20,7 +21,7 @@ from testbed.schema import Table, validate
 
 FIRST_RUN = 1_000_000
 """Runs of the training flights count from here."""
-OUTAGE_KEYS = {"outages": [], "random_outages": None, "outliers": None, "degraded": []}
+OUTAGE_KEYS: dict[str, Any] = {"outages": [], "random_outages": None, "outliers": None, "degraded": []}
 """What a training flight is spared, and its values without it."""
 
 

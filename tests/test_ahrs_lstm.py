@@ -34,10 +34,10 @@ def flights():
     return [Flight(seed) for seed in range(3)]
 
 
-def trained(flights, folder, resume=False, tell=lambda text: None, **settings):
+def trained(flights, folder, resume=False, tell=lambda text: None, filter_params=None, **settings):
     from estimators.ahrs_training import train
 
-    return train(flights[:2], flights[2:], folder, SMALL | settings, resume=resume, tell=tell)
+    return train(flights[:2], flights[2:], folder, SMALL | settings, filter_params, resume, tell)
 
 
 def tensors(path):
@@ -55,16 +55,17 @@ def test_untrained_it_is_the_kalman_filter(flights):
 
 def test_the_torch_filter_is_the_compiled_filter(flights):
     """In float64 the two differ by round-off of a thousand steps alone."""
-    from estimators.ahrs_training import BatchFilter, make_batch, prepare_flight
+    from estimators.ahrs_torch import BatchFilter
+    from estimators.ahrs_training import make_batch, prepare_flight
     from testbed.rotations import quats_to_matrices
 
     kf, cpu = AhrsKf(), torch.device("cpu")
     prepared = [prepare_flight(flight, kf, 20) for flight in flights[:2]]
     batch = make_batch([(p, 20) for p in prepared], 1000, cpu, torch.float64)
     filter_ = BatchFilter(prepared[0].model, cpu, torch.float64)
-    with torch.no_grad():
-        for n in range(1000):
-            filter_.step(batch, n, None, [])
+    for n in range(1000):
+        z, k, _ = filter_.before(batch, n)
+        filter_.after(batch, z, k)
     for flight, c_nb, bias in zip(flights, batch.c_nb.numpy(), batch.bias.numpy(), strict=False):
         solution = kf.run(flight.log())
         np.testing.assert_allclose(c_nb, quats_to_matrices(solution.q_nb)[1019], atol=1e-12)
@@ -73,12 +74,12 @@ def test_the_torch_filter_is_the_compiled_filter(flights):
 
 @pytest.mark.parametrize(("layers", "activation"), [(2, "sigmoid"), (3, "linear")])
 def test_the_compiled_network_is_the_torch_network(layers, activation):
-    from estimators.ahrs_training import GainNetwork, Settings
+    from estimators.ahrs_torch import GainNetwork
 
     torch.manual_seed(1)
     rng = np.random.default_rng(1)
     norm = [torch.as_tensor(rng.uniform(0.5, 2.0, n), dtype=torch.float32) for n in (90, 90, 72)]
-    network = GainNetwork(Settings(layers=layers, neurons=12, activation=activation), *norm)
+    network = GainNetwork(layers, 12, activation, *norm)
     torch.nn.init.normal_(network.head.weight)
     arrays = {key: value.numpy() for key, value in network.state_dict().items()}
     weights = assemble(arrays, {"activation": activation, "filter": {}})
@@ -94,49 +95,81 @@ def test_the_compiled_network_is_the_torch_network(layers, activation):
         np.testing.assert_allclose(out, expected, atol=2e-5)  # float32 sums of a few dozen terms of size one
 
 
-def test_the_gradient_through_the_filter_is_that_of_finite_differences(flights):
-    """Of the loss after eight samples, with the covariance's gain as given (it hardly moves with the attitude)."""
-    from estimators.ahrs_training import BatchFilter, GainNetwork, Settings, attitude_loss, make_batch, normalisation, prepare_flight
+def test_the_error_budget_is_what_many_flights_show():
+    """Sixty logs with one motion: the mean square attitude error of the Kalman gain is the budget's expectation.
+
+    Each log's accelerations differ, so the budget's mean is averaged too. 60 logs with 3 axes of which errors about one
+    dominate: the sampling error of a mean square is sqrt(2/60) = 18 %; three of these are allowed.
+    """
+    from estimators.ahrs_torch import BatchFilter, ErrorBudget
+    from estimators.ahrs_training import make_batch, prepare_flight
+
+    flights = [Flight(seed, 12.0) for seed in range(60)]
+    kf, cpu = flights[0].simulated.estimator, torch.device("cpu")
+    prepared = [prepare_flight(flight, kf, 20) for flight in flights]
+    batch = make_batch([(p, 20) for p in prepared], 500, cpu, torch.float64)
+    filter_ = BatchFilter(prepared[0].model, cpu, torch.float64)
+    budget = ErrorBudget(filter_, prepared[0].model, np.radians(2.5e-4), (1e-12, 100.0))
+    errors = budget.start(batch)
+    for n in range(500):
+        z, k, turn = filter_.before(batch, n)
+        filter_.after(batch, z, k)
+        seen = filter_.seen(batch, batch.truth[:, n + 1])
+        errors = budget.step(errors, turn, seen, torch.cat([-batch.accel[:, n], batch.mag[:, n]], 1) - seen, k)
+    tilt, _ = budget.cost(errors, seen, 0.0, 0.0)
+    actual = ((batch.c_nb - batch.truth[:, -1])[:, 2] ** 2).sum(1).mean()
+    assert float(actual) == pytest.approx(float(tilt), rel=0.55)
+
+
+def test_the_gradient_of_the_budget_is_that_of_finite_differences(flights):
+    """Of the expected error after eight samples, by every layer's weights, with the inputs of the network as given."""
+    from estimators.ahrs_torch import BatchFilter, ErrorBudget, GainNetwork
+    from estimators.ahrs_training import make_batch, normalisation, prepare_flight
 
     cpu, kf = torch.device("cpu"), AhrsKf()
     prepared = [prepare_flight(flight, kf, 20) for flight in flights[:2]]
     torch.manual_seed(0)
     norm = {key: torch.as_tensor(v).double() for key, v in normalisation(prepared).items()}
-    network = GainNetwork(Settings(neurons=6), **norm).double()
+    network = GainNetwork(2, 6, "sigmoid", **norm).double()
     torch.nn.init.normal_(network.head.weight, std=0.3)
     filter_ = BatchFilter(prepared[0].model, cpu, torch.float64)
+    budget = ErrorBudget(filter_, prepared[0].model, 1e-6, (1e-4, 50.0))
 
     def loss():
         batch, memory = make_batch([(p, 200) for p in prepared], 8, cpu, torch.float64), network.start(2)
-        total = torch.zeros((), dtype=torch.float64)
+        errors, total = budget.start(batch), 0.0
         for n in range(8):
-            memory = filter_.step(batch, n, network, memory)
-            total = total + attitude_loss(batch, n, 0.05)[1]
+            z, k, turn = filter_.before(batch, n)
+            change, memory = network(filter_.inputs(z, k, batch.bias, batch.disturbance), memory)
+            filter_.after(batch, z, k)  # the KF's own gain: the inputs do not depend on the weights
+            seen = filter_.seen(batch, batch.truth[:, n + 1])
+            beyond = torch.cat([-batch.accel[:, n], batch.mag[:, n]], 1) - seen
+            errors = budget.step(errors, turn, seen, beyond, k + change)
+            total = total + budget.cost(errors, seen, 0.05, 30.0)[1]
         return total
 
     loss().backward()
     for parameter in (network.head.bias, network.lstm[0].weight_hh, network.input.weight):
         direction = torch.sign(parameter.grad)
-        slope, step = float((parameter.grad * direction).sum()), 1e-4
+        slope, step = float((parameter.grad * direction).sum()), 1e-5
         with torch.no_grad():
             parameter += step * direction
             above = float(loss())
             parameter -= 2 * step * direction
             below = float(loss())
             parameter += step * direction
-        assert (above - below) / (2 * step) == pytest.approx(slope, rel=0.02)
+        assert (above - below) / (2 * step) == pytest.approx(slope, rel=1e-3)
 
 
 def test_training_lowers_the_error_and_stores_it(flights, tmp_path):
-    """The filter's parameters are for other accelerations than these flights have: there is something to learn."""
-    said = []
-    path = trained(flights, tmp_path, epochs=6, learning_rate=5e-3, tell=said.append)
+    """The filter expects far larger field noise than there is: higher gains are better, and there is much to learn."""
+    said, wrong = [], {"mag_noise_scale": 300.0, "linear_accel_mps2": 60.0}
+    path = trained(flights, tmp_path, epochs=6, learning_rate=1e-2, tell=said.append, filter_params=wrong)
     curve = (tmp_path / "learning-curve.csv").read_text().splitlines()
     errors = [float(line.split(",")[2]) for line in curve[1:]]
-    assert len(errors) == 7 and min(errors[1:]) < errors[0]
-    assert sum(path.stat().st_size for path in [path]) < 6e6
+    assert len(errors) == 7 and min(errors[1:]) < 0.9 * errors[0]
     log = flights[2].log()
-    assert not np.array_equal(AhrsLstm(weights=str(path)).run(log).q_nb, AhrsKf().run(log).q_nb)
+    assert not np.array_equal(AhrsLstm(weights=str(path)).run(log).q_nb, AhrsKf(**wrong).run(log).q_nb)
     stored = load_weights(str(path))
     assert stored.metadata["validation_deg"] == pytest.approx(min(errors), rel=1e-4)
     assert any("s left" in text for text in said)

@@ -309,7 +309,7 @@ def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
     if result.innovations:
         order = sorted(result.innovations, key=lambda label: label != lead.winner)
         views = {
-            e: innovations(f, e, colours, _channel_names(result, e, f), spans, phases)
+            e: innovations(f, e, colours, result.channels(e), spans, phases)
             for e in order
             if len(f := result.innovations[e]) and e in colours
         }
@@ -331,15 +331,6 @@ def _open_gaps(frame: pd.DataFrame) -> pd.DataFrame:
     gaps = np.flatnonzero(np.diff(t) > 5 * np.median(np.diff(t)))
     empty = pd.DataFrame({"time_s": t[gaps] + 1e-3}).reindex(columns=frame.columns)
     return pd.concat([frame, empty]).sort_values("time_s") if len(gaps) else frame
-
-
-def _channel_names(result: Result, label: str, frame: pd.DataFrame) -> list[str]:
-    """From info.json's ``innovations`` (label -> names); else numbered."""
-    count = sum(str(c).startswith("nu_") for c in frame)
-    given = result.info.get("innovations", {}).get(label)
-    if given and len(given) >= count:
-        return [str(name) for name in given]
-    return [f"channel {k + 1}" for k in range(count)]
 
 
 def _ranges(errors: Mapping[str, pd.DataFrame], quantities: Sequence[str]) -> list[list[float] | None]:

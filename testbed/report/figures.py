@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from testbed.report import geometry
+from testbed.report import geometry, innovations
 from testbed.report.headline import headline
 from testbed.report.labels import COLOURS, GROUPS, component_label, quantity_label, unit
 from testbed.report.results import Result, thin
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 WIDTH = 6.3  # inches: the text width of an A4 page
 POINTS = 700  # per line: about one per pixel of the printed width
 MOST_EXTRAS = 3
+MOST_LINES = 8  # colours that a reader can tell apart
 DASHES = ["-", "--", ":", "-.", (0, (6, 1.5)), (0, (4, 1, 1, 1, 1, 1))]
 STYLE: Any = {
     "font.size": 8,
@@ -143,8 +144,8 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
     """Box plots over the runs: median, quartiles, whiskers at 5 and 95 %, the runs outside of them."""
     figure = _figure(0.9 + 0.26 * len(estimators))
     axes = np.atleast_1d(figure.subplots(1, len(metrics), sharey=True))
-    bottom = 0.42 / figure.get_figheight()
-    figure.subplots_adjust(left=0.17, right=0.99, bottom=bottom, top=0.97, wspace=0.12)
+    bottom, left = 0.42 / figure.get_figheight(), 0.03 + 0.0105 * max(map(len, estimators), default=0)
+    figure.subplots_adjust(left=max(0.14, left), right=0.99, bottom=bottom, top=0.97, wspace=0.12)
     for ax, metric in zip(axes, metrics, strict=True):
         rows = per_run[per_run["metric"] == metric]
         values = [rows.loc[rows["estimator"] == e, "value"].dropna().to_numpy() for e in estimators]
@@ -241,7 +242,8 @@ def extras(
 def build(result: Result) -> dict[str, tuple[Figure, str]]:
     """Every figure that the result has data for: name -> (figure, caption)."""
     lead = headline(result)
-    estimates = {label: thin(result.errors[label], POINTS) for label in result.estimators if label in result.errors}
+    lines = compared(result, lead.winner)
+    estimates = {label: thin(result.errors[label], POINTS) for label in lines if label in result.errors}
     spans, phases = result.outages, result.phases
     drawn: dict[str, tuple[Figure, str]] = {}
     if len(result.truth) and estimates:
@@ -258,7 +260,7 @@ def build(result: Result) -> dict[str, tuple[Figure, str]]:
             )
     if result.estimators:
         drawn["rmse"] = (
-            rmse_bars(result.summary, result.estimators, lead.window),
+            rmse_bars(result.summary, lines, lead.window),
             "Mean RMSE over the runs with 95 % intervals.",
         )
     metrics = ["rmse_position_3d_m", "rmse_velocity_3d_mps", "rmse_attitude_deg"]
@@ -270,12 +272,22 @@ def build(result: Result) -> dict[str, tuple[Figure, str]]:
             "Spread over the runs: median, quartiles, 5 and 95 %.",
         )
     table = result.envelopes.dropna(subset=["rms"])
-    if len(table):
+    if len(table := table[table["estimator"].isin(lines)]):
         group = "Position" if table["quantity"].isin(GROUPS["Position"]).any() else "Attitude"
         caption = f"{group} error over the runs: RMS (line) and the filters' own sigma (dotted)."
         drawn["envelope"] = envelopes(table, GROUPS[group], spans, phases), caption
     if len(table := result.consistency.dropna(subset=["mean"])):
-        drawn["consistency"] = consistency(table, result.estimators), "NEES and NIS relative to their expected value."
+        drawn["consistency"] = consistency(table, lines), "NEES and NIS relative to their expected value."
+    for label in innovations.chosen(result, lead.winner):
+        if channels := innovations.analyse(result.innovations[label], result.channels(label), spans):
+            colour = result.estimators.index(label) if label in result.estimators else 0
+            caption = (
+                f"Innovations of {label}, run 0: ±2√S, histogram with the normal curve, autocorrelation with its bound."
+            )
+            drawn[f"innovations_{result.info['estimators'][label]}"] = (
+                innovations.figure(channels, label, colour, spans),
+                caption,
+            )
     for label, frame in list(result.extras.items())[:MOST_EXTRAS]:
         slug = result.info["estimators"][label]
         drawn[f"extras_{slug}"] = (
@@ -283,6 +295,16 @@ def build(result: Result) -> dict[str, tuple[Figure, str]]:
             f"Beside the state, {label}, run 0.",
         )
     return drawn
+
+
+def compared(result: Result, winner: str) -> list[str]:
+    """The estimators drawn in colour: all, or of many those that the claims compare, with the winner, up to `MOST_LINES`."""
+    if len(result.estimators) <= MOST_LINES:
+        return result.estimators
+    named = [str(claim.get(side)) for claim in result.scenario.get("claims", []) for side in ("than", "better")]
+    order = [winner, *dict.fromkeys(named), *result.estimators]
+    chosen = [label for label in dict.fromkeys(order) if label in result.estimators][:MOST_LINES]
+    return [label for label in result.estimators if label in chosen]
 
 
 def save_figures(result: Result, folder: Path, svg: bool = True, dpi: int = 120) -> dict[str, str]:
@@ -346,9 +368,31 @@ def _squeeze(ax: Axes, series: Sequence[np.ndarray], signed: bool = True) -> Non
 
 
 def _legend(figure: Figure, ax: Axes) -> None:
+    """Above the axes, in as many rows as the names need; the figure grows by all rows but the first."""
     handles, labels = ax.get_legend_handles_labels()
     unique = dict(zip(reversed(labels), reversed(handles), strict=True))
     names = [name for name in dict.fromkeys(labels) if name]
+    if not names:
+        return
+    columns = min(len(names), max(1, int((WIDTH - 0.2) / (0.5 + 0.058 * max(map(len, names))))))
+    _grow(figure, 0.15 * (-(-len(names) // columns) - 1))
     figure.legend(
-        [unique[n] for n in names], names, loc="upper right", bbox_to_anchor=(0.99, 1.0), ncols=min(7, len(names))
+        [unique[n] for n in names],
+        names,
+        loc="upper right",
+        bbox_to_anchor=(0.99, 1.0),
+        ncols=columns,
+        columnspacing=1.2,
     )
+
+
+def _grow(figure: Figure, inches: float) -> None:
+    """Add height at the top; everything drawn so far keeps its size and distance from the bottom."""
+    old = figure.get_figheight()
+    figure.set_figheight(old + inches)
+    shrink = old / (old + inches)
+    for ax in figure.axes:
+        box = ax.get_position()
+        ax.set_position((box.x0, shrink * box.y0, box.width, shrink * box.height))
+    for text in figure.texts:
+        text.set_y(1 - (1 - text.get_position()[1]) * shrink)

@@ -14,7 +14,7 @@ from importlib import resources
 from itertools import groupby
 from typing import Any
 
-from testbed.report import provenance, tables
+from testbed.report import innovations, provenance, tables
 from testbed.report.charts import charts
 from testbed.report.headline import headline
 from testbed.report.labels import COLOURS, window_label
@@ -38,6 +38,7 @@ def page(result: Result) -> str:
         paper_tables=tables.paper_tables(result),
         failures=tables.failures(result),
         consistency=tables.consistency(result),
+        innovations=innovations.table(result),
         timings=tables.timings(result),
         sensors=sensor_tables(result),
         provenance=provenance.rows(result),

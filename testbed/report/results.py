@@ -106,6 +106,16 @@ class Result:
         """Names of the components of an estimator's extras, where ``info.json`` has them (``components``)."""
         return dict(self.info.get("components", {}).get(label, {}))
 
+    def channels(self, label: str) -> list[str]:
+        """Names of an estimator's innovation channels, where ``info.json`` has them (``innovations``); else numbered."""
+        count = sum(str(c).startswith("nu_") for c in self.innovations[label])
+        given = self.info.get("innovations", {}).get(label)
+        return (
+            [str(name) for name in given]
+            if given and len(given) >= count
+            else [f"channel {k + 1}" for k in range(count)]
+        )
+
     def per_run(self, metrics: list[str], window: str) -> pd.DataFrame:
         """Rows of ``metrics.parquet``: run, estimator, window, metric, value. Only what is asked for is read."""
         path = self.folder / "metrics.parquet"

@@ -5,7 +5,7 @@ Both render the `Table` values of `testbed.report.tables`; units stand in the co
 
 from __future__ import annotations
 
-from testbed.report import provenance, tables
+from testbed.report import innovations, provenance, tables
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
 from testbed.report.results import Result
@@ -35,7 +35,7 @@ def markdown(result: Result, figures: dict[str, str]) -> str:
         parts += [f"### {window_label(w)}\n\n" + _markdown_table(tables.comparison(result, w)) for w in others]
     if figures:
         parts += ["## Figures"] + [f"![{caption}](figures/{name})\n\n*{caption}*" for name, caption in figures.items()]
-    for table in (tables.consistency(result), tables.timings(result)):
+    for table in (tables.consistency(result), innovations.table(result), tables.timings(result)):
         if table is not None:
             parts += [f"## {table.title}", _markdown_table(table)]
     if sensors := sensor_tables(result):
@@ -83,7 +83,8 @@ def _bar(text: str) -> str:
 def latex(result: Result) -> str:
     """Tables for ``\\input``: comparison per window, claims, the paper's tables, consistency, time. Needs booktabs."""
     found = [tables.comparison(result, w) for w in comparison_windows(result)]
-    found += [t for t in (tables.claims(result), tables.consistency(result), tables.timings(result)) if t is not None]
+    optional = (tables.claims(result), tables.consistency(result), innovations.table(result), tables.timings(result))
+    found += [table for table in optional if table is not None]
     found += tables.paper_tables(result)
     return "% needs \\usepackage{booktabs}\n\n" + "\n".join(_latex_table(result, t) for t in found)
 

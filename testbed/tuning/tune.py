@@ -121,12 +121,12 @@ def _search(
 ) -> None:
     """Run or complete one search."""
     history = History(folder / "evaluations" / f"{task.name}.parquet", objective.space.names)
+    _unchanged(history, objective)
     settings = config.settings.get(task.algorithm)
     search = make_search(
         task.algorithm, objective.space.bounds, config.population, task.iterations, task.seed, settings
     )
     watch = StopRule(config)
-    _unchanged(history, objective)
     try:
         while not search.done:
             x = search.ask()

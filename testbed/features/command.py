@@ -1,0 +1,117 @@
+"""`testbed features`: which inputs a scenario's networks should see, and how many lags of them.
+
+The candidates and targets are those of an estimator of the scenario that has ``learning_data(flights)``; the flights are the
+training flights of ``[extra.training]``. Writes ``ranking.csv``, ``lags.csv`` and ``lags.png``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.errors import InputError, nearest
+from testbed.features.learning import LearningData
+from testbed.features.lipschitz import LagCurve, lag_curve
+from testbed.features.mrmr import Ranked, rank_mrmr
+from testbed.scenario import EstimatorConfig, Scenario
+
+MAX_LAG = 6
+
+
+def features(
+    scenario: Scenario,
+    out: str | Path,
+    estimator: str | None = None,
+    inputs: int = 4,
+    tell: Callable[[str], None] = print,
+) -> Path:
+    """Rank the inputs, measure the lag curves of the best ``inputs``, print both and write them to ``out``.
+
+    ``estimator``: the row whose networks are meant (default: the first that can say). Raises InputError when none can.
+    """
+    from testbed.registry import make_estimator
+    from testbed.training_flights import training_flights
+
+    entry = _learner(scenario, estimator)
+    student: Any = make_estimator(entry.name, **entry.params)
+    tell(f"{entry.row}: learning data of the training flights")
+    data: LearningData = student.learning_data(training_flights(scenario))
+    if not 1 <= inputs <= len(data.names):
+        raise InputError(f"--inputs {inputs}: from 1 to {len(data.names)}")
+    rankings = {t: rank_mrmr(data.candidates, y, data.names, method="all") for t, y in data.targets.items()}
+    curves = {}
+    for target, y in data.targets.items():
+        chosen = [data.names.index(r.name) for r in rankings[target][:inputs]]
+        curves[target] = lag_curve(data.candidates[:, chosen], y, MAX_LAG, present_input=True)
+        tell(f"{target:>8}: {ranking_line(rankings[target])}")
+        tell(f"{'':>8}  lags {curves[target].order()}: " + " ".join(f"{v:.3g}" for v in curves[target].index))
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_tables(folder, rankings, curves)
+    plot_lags(curves, folder / "lags.png")
+    return folder
+
+
+def ranking_line(ranking: Sequence[Ranked]) -> str:
+    """A ranking in one line, best first, with the scores."""
+    return ", ".join(f"{r.name} {r.score:+.2f}" for r in ranking)
+
+
+def plot_lags(curves: Mapping[str, LagCurve], path: Path) -> None:
+    """The Lipschitz index over the number of lags, one line per target; a ring marks the chosen order."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axes = figure.subplots()
+    for target, curve in curves.items():
+        (line,) = axes.semilogy(curve.lags, curve.index, marker=".", label=target)
+        at = int(np.searchsorted(curve.lags, curve.order()))
+        axes.semilogy(curve.lags[at], curve.index[at], "o", mfc="none", ms=10, color=line.get_color())
+    axes.set_xlabel("lags of output and inputs")
+    axes.set_ylabel("Lipschitz index (scaled signals)")
+    axes.grid(True, which="both", alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=120)
+
+
+def _learner(scenario: Scenario, row: str | None) -> EstimatorConfig:
+    from testbed.registry import estimator_class
+
+    able = [e for e in scenario.estimators if hasattr(estimator_class(e.name), "learning_data")]
+    if not able:
+        raise InputError(f"{scenario.source_path}: no estimator of this scenario has inputs to choose")
+    if row is None:
+        return able[0]
+    for entry in able:
+        if entry.row == row:
+            return entry
+    raise InputError(
+        f"{scenario.name}: no estimator '{row}' with inputs to choose; {nearest(row, [e.row for e in able])}"
+    )
+
+
+def _write_tables(folder: Path, rankings: Mapping[str, Sequence[Ranked]], curves: Mapping[str, LagCurve]) -> None:
+    import pandas as pd
+
+    rows = [
+        {
+            "target": target,
+            "rank": k,
+            "input": r.name,
+            "score": r.score,
+            "relevance": r.relevance,
+            "redundancy": r.redundancy,
+        }
+        for target, ranking in rankings.items()
+        for k, r in enumerate(ranking, 1)
+    ]
+    pd.DataFrame(rows).to_csv(folder / "ranking.csv", index=False, float_format="%.6g")
+    lags = [
+        {"target": target, "lags": int(lag), "index": index, "chosen": int(lag) == curve.order()}
+        for target, curve in curves.items()
+        for lag, index in zip(curve.lags, curve.index, strict=True)
+    ]
+    pd.DataFrame(lags).to_csv(folder / "lags.csv", index=False, float_format="%.6g")

@@ -1,0 +1,132 @@
+"""What a verb shows: the progress of long work on stderr, tables of results on stdout. Units are in the column heads."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from testbed.scenario import Scenario
+
+TABLE_METRICS = {
+    "rmse_north_m": "north m",
+    "rmse_east_m": "east m",
+    "rmse_down_m": "down m",
+    "rmse_position_3d_m": "3-D m",
+    "rmse_velocity_3d_mps": "vel m/s",
+    "rmse_roll_deg": "roll °",
+    "rmse_pitch_deg": "pitch °",
+    "rmse_yaw_deg": "yaw °",
+}
+
+
+def tell_user(text: str) -> None:
+    """A line on stderr, at once."""
+    print(text, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def progress_line(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar with rate and time left on a terminal; plain lines, one per tenth, elsewhere."""
+    if sys.stderr.isatty():
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        columns = (
+            TextColumn(what),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+        )
+        from rich.console import Console
+
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(what, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+        return
+    import time
+
+    start, told = time.monotonic(), -1
+
+    def tell(done: int, total: int) -> None:
+        nonlocal told
+        tenth = 10 * done // max(total, 1)
+        if tenth > told:
+            told = tenth
+            elapsed = time.monotonic() - start
+            left = f", {elapsed / done * (total - done):.0f} s left" if done else ""
+            print(f"{what}: {done} of {total}, {elapsed:.0f} s{left}", file=sys.stderr, flush=True)
+
+    yield tell
+
+
+def print_summary(scenario: Scenario, summary: pd.DataFrame, runs: pd.DataFrame) -> None:
+    """The comparative RMSE table: mean over runs in the window ``all``, best of each column marked."""
+    from rich.console import Console
+    from rich.table import Table
+
+    chosen = summary[(summary["window"] == "all") & summary["metric"].isin(list(TABLE_METRICS))]
+    wide = chosen.pivot(index="estimator", columns="metric", values="mean")
+    statuses = runs.groupby("estimator")["status"].agg(lambda s: int((s != "ok").sum()))
+    table = Table(
+        title=f"{scenario.scenario.title or scenario.name}: RMSE, mean of {runs['run'].nunique()} runs",
+        title_justify="left",
+    )
+    table.add_column("estimator")
+    columns = [metric for metric in TABLE_METRICS if metric in wide]
+    for metric in columns:
+        table.add_column(TABLE_METRICS[metric], justify="right")
+    table.add_column("failed", justify="right")
+    best = wide.min()
+    for entry in scenario.estimators:
+        cells = [entry.row]
+        for metric in columns:
+            value = wide[metric].get(entry.row)
+            text = _number(value, ".4g")
+            cells.append(f"[bold]{text}[/bold]" if value == best[metric] else text)
+        table.add_row(*cells, str(int(statuses.get(entry.row, 0))))
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+
+
+def print_failures(runs: pd.DataFrame) -> None:
+    """For each estimator that did not always arrive: in how many runs, and why (the reason of the first)."""
+    lost = runs[runs["status"] != "ok"]
+    for estimator, rows in lost.groupby("estimator", sort=False):
+        first = rows.iloc[0]
+        kind = first["status"].partition(":")[0]
+        reason = f": {first['reason']}" if first["reason"] else ""
+        total = (runs["estimator"] == estimator).sum()
+        tell_user(f"{estimator}: not ok in {len(rows)} of {total} runs; run {first['run']} {kind}{reason}")
+
+
+def print_claims(claims: pd.DataFrame) -> None:
+    """The claims with the paper's figure, ours and the verdict."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="Claims: improvement in %", title_justify="left")
+    for column in ("claim", "paper", "measured", "95 % interval", "verdict"):
+        table.add_column(column, justify="left" if column in ("claim", "verdict") else "right")
+    for row in claims.to_dict("records"):
+        measured, low, high = (_number(row[key], ".1f") for key in ("measured_pct", "ci_low", "ci_high"))
+        table.add_row(
+            row["text"] or row["id"], _number(row["paper_pct"], ".0f"), measured, f"{low} to {high}", row["verdict"]
+        )
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+
+
+def _number(value: float | None, form: str) -> str:
+    """A number for a table; a dash where there is none."""
+    return "–" if value is None or value != value else format(value, form)

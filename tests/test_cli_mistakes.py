@@ -1,0 +1,157 @@
+"""The mistakes that users make at every verb: exit code 2, one message that says what would be right, nothing written."""
+
+import contextlib
+import io
+import sys
+from pathlib import Path
+
+import pytest
+
+from testbed import cli
+
+
+def call(*arguments: str) -> tuple[int, str]:
+    """Exit code and stderr of ``testbed ...``, run in this process."""
+    said = io.StringIO()
+    with (
+        contextlib.redirect_stderr(said),
+        contextlib.redirect_stdout(io.StringIO()),
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        patch.setattr(sys, "argv", ["testbed", *arguments])
+        try:
+            cli.main()
+        except SystemExit as end:
+            return int(end.code or 0), said.getvalue()
+    return 0, said.getvalue()
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TESTBED_CACHE", str(tmp_path / ".cache"))
+    Path("a-file").write_text("text")
+    Path("full").mkdir()
+    Path("full/something").write_text("text")
+    Path("syntax.py").write_text("def run(:\n")
+    Path("nothing.py").write_text("x = 1\n")
+    Path("broken.toml").write_text("[flight\n")
+    return tmp_path
+
+
+MISTAKES = {
+    "fly quickstrt": ["'quickstart'"],
+    "fly quickstart --out a-file": ["a-file", "--out"],
+    "fly quickstart --out a-file/below": ["a-file", "--out"],
+    "fly quickstart --out full": ["full", "not an empty folder"],
+    "fly quickstart --set flight.rate_hz": ["KEY=VALUE"],
+    "fly quickstart --set flight.rate_hz=fast": ["flight.rate_hz", "'fast'"],
+    "fly quickstart --set flight.manoeuvres.99.bank_deg=3": ["99", "0 to 6"],
+    "fly quickstart --set flight.aircraft=aersonde": ["'aerosonde'"],
+    "fly quickstart --variant none": ["uncalibrated"],
+    "fly quickstart --seed -1": ["--seed"],
+    "fly broken.toml": ["broken.toml", "TOML"],
+    "sense quickstart --out full": ["full"],
+    "sense quickstart --set sensors.imu.model=ADIS1644": ["'ADIS16448'"],
+    "sense quickstart --set sensors.imu.file=absent.toml": ["absent.toml"],
+    "allan absent": ["absent"],
+    "allan a-file": ["a-file"],
+    "allan full --out a-file": ["a-file", "--out"],
+    "import navgo full --out out": ["'navego'"],
+    "import navego absent --out out": ["absent", "no such"],
+    "import table full --out out": ["imu", "something"],
+    "import table full --out a-file": ["a-file"],
+    "report absent": ["absent", "testbed run"],
+    "report full --out a-file": ["a-file"],
+    "compare full full": ["full", "no result"],
+    "list sensor": ["'sensors'"],
+    "new scenari mine": ["'scenario'"],
+    "run quickstart --runs 0": ["--runs 0"],
+    "run quickstart --runs many": ["'auto'"],
+    "run quickstart --jobs 0": ["--jobs"],
+    "run quickstart --cap 0": ["--cap"],
+    "run quickstart --estimators inns": ["'ins'"],
+    "run quickstart --estimators ,": ["at least one"],
+    "run quickstart --set monte_carlo.rns=3": ["'runs'"],
+    "run quickstart --set estimators.0.params.gain=3 --out out": ["'ins'", "gain"],
+    "run quickstart --sweep sensors.imu.rate_hz": ["KEY=V1,V2"],
+    "run quickstart --sweep sensors.imu.rate=50,100": ["'rate_hz'"],
+    "run quickstart --plugin syntax.py": ["syntax.py", "line 1"],
+    "run quickstart --plugin nothing.py": ["nothing.py", "run(log)"],
+    "run quickstart --plugin absent.py": ["absent.py"],
+    "run quickstart --out a-file": ["a-file"],
+    "run quickstart --out full": ["full"],
+    "run navego --set recording.dir=full --out out": ["full", "imu"],
+}
+
+
+@pytest.mark.parametrize("line", MISTAKES)
+def test_a_mistake_is_told_in_one_message(line, workplace):
+    before = sorted(path for path in workplace.rglob("*") if ".cache" not in path.parts)
+    code, said = call(*line.split())
+    assert code == 2, said
+    assert "Traceback" not in said
+    assert len(said.strip().splitlines()) <= 6  # a usage error of the option parser comes in a frame
+    for word in MISTAKES[line]:
+        assert word in said
+    assert before == sorted(path for path in workplace.rglob("*") if ".cache" not in path.parts)
+
+
+def test_why_an_estimator_failed_is_told(workplace):
+    """A row of dashes would leave its author guessing; when no row is left, the work has failed (exit code 1)."""
+    Path("fails.py").write_text("class Fails:\n    name = 'fails'\n    def run(self, log):\n        return 1 / 0\n")
+    options = (
+        "--runs",
+        "1",
+        "--jobs",
+        "1",
+        "--no-report",
+        "--set",
+        "flight.duration_s=10",
+        "--set",
+        "sensors.gnss.outages=[]",
+    )
+    options = (*options, "--set", "windows=[]", "--plugin", "fails.py")
+    code, said = call("run", "quickstart", *options, "--estimators", "fails,ins", "--out", "two")
+    assert code == 0, said
+    assert "fails: not ok in 1 of 1 runs" in said and "division by zero" in said
+    code, said = call("run", "quickstart", *options, "--estimators", "fails", "--out", "one")
+    assert code == 1
+    assert "no estimator" in said
+
+
+def test_a_changed_scenario_does_not_resume(workplace):
+    short = ("--jobs", "1", "--no-report", "--estimators", "ins", "--set", "flight.duration_s=10", "--out", "out")
+    short = (*short, "--set", "sensors.gnss.outages=[]", "--set", "windows=[]")
+    assert call("run", "quickstart", "--runs", "1", *short)[0] == 0
+    code, said = call("run", "quickstart", "--runs", "2", "--seed", "7", "--resume", *short)
+    assert code == 2
+    assert "another batch" in said
+    assert call("run", "quickstart", "--runs", "2", "--resume", *short)[0] == 0
+
+
+def test_shells_are_offered_names(monkeypatch):
+    """What follows TAB after the words so far."""
+    import typer.main
+    from typer.testing import CliRunner
+
+    def offered(words: str, number: int) -> list[str]:
+        environment = {"_TESTBED_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(number)}
+        done = CliRunner().invoke(cli.app, prog_name="testbed", env=environment)
+        return done.output.split()
+
+    assert typer.main.get_command(cli.app).name == "testbed"
+    assert offered("testbed run quick", 2) == ["quickstart"]
+    assert offered("testbed run quickstart --variant ", 4) == ["uncalibrated"]
+    assert offered("testbed run quickstart --profile s", 4) == ["smoke"]
+    assert offered("testbed run quickstart --estimators ins,direct-e", 4) == ["ins,direct-ekf"]
+    assert offered("testbed list se", 2) == ["sensors"]
+    assert offered("testbed new ", 2) == ["estimator", "scenario"]
+    assert offered("testbed import n", 2) == ["navego"]
+
+
+def test_run_without_a_scenario_shows_what_can_be_run(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["testbed", "run"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert "quickstart" in capsys.readouterr().out
