@@ -70,6 +70,8 @@ class Batch:
     bias: Tensor
     disturbance: Tensor
     p: Tensor
+    accel_sigma: Tensor
+    """What a filter would take for the sigma of linear acceleration if it knew that acceleration, (B,T,3)."""
 
 
 class BatchFilter:
@@ -103,11 +105,17 @@ class BatchFilter:
         return self.eye + (1 - n2 / 6 * (1 - n2 / 20)) * m + (0.5 - n2 / 24 * (1 - n2 / 30)) * (m @ m)
 
     @torch.no_grad()
-    def gain(self, p: Tensor, turn: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """Transposed Kalman gain (B,6,12) and updated covariance, from those before the sample."""
+    def gain(self, p: Tensor, turn: Tensor, seen: Tensor, accel_sigma: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Transposed Kalman gain (B,6,12) and updated covariance, from those before the sample.
+
+        ``accel_sigma`` (B,3), m/s², stands for the model's one sigma of linear acceleration: see `teacher_sigma`.
+        """
         phi = self.phi.expand(len(p), 12, 12).clone()
         phi[:, :3, :3] = turn.transpose(1, 2)
         p = phi @ p @ phi.transpose(1, 2) + self.q
+        if accel_sigma is not None:
+            grown = accel_sigma**2 * (1.0 - self.decay[0] ** 2) - self.q[6, 6]
+            p = p + torch.nn.functional.pad(torch.diag_embed(grown), (6, 3, 6, 3))
         h = self.h.expand(len(p), 6, 12).clone()
         h[:, :3, :3], h[:, 3:, :3] = self.cross(seen[:, :3]), self.cross(seen[:, 3:])
         hp = h @ p

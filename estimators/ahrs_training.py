@@ -1,9 +1,10 @@
-"""Training of `ahrs-lstm`: truncated back-propagation through the filter's errors, in batches of windows (torch).
+"""Training of `ahrs-lstm`: truncated back-propagation in batches of windows, through filters that run (torch).
 
-The filter runs with the corrected gain; the loss is the expected square of the attitude error after each corrected update
-(`ahrs_torch.ErrorBudget`), tilt above all, since roll and pitch are scored. What the network reads is taken as given, as
-is the covariance recursion. The plain loss, the error of the filter's own attitude, was tried first and did not learn: one
-flight's error is so persistent that its chance correlation with the accelerations drowns the gradient.
+The filter runs with the corrected gain. Two losses. ``teacher``: the squared distance of that gain from the one of a
+filter that knows the true linear acceleration, axis by axis, and takes it for its sigma; the network knows it not and must
+tell it from its 90 inputs. ``budget``: the expected square of the attitude error after each corrected update
+(`ahrs_torch.ErrorBudget`), tilt above all. The error of the filter's own attitude, tried first, did not teach: it is so
+persistent that its chance correlation with the accelerations drowns the gradient.
 SI units, µT. Flights are objects like `testbed.dataset.Shard`: ``rows``, ``window(start, rows)``, ``log()``.
 """
 
@@ -50,8 +51,13 @@ class Settings:
     learning_rate: float = 1e-3
     final_rate: float = 0.1
     """The rate falls to this part of itself over the training, along a cosine."""
+    loss: str = "teacher"
+    teacher_floor_mps2: float = 0.5
+    """The teacher's sigma of linear acceleration where there is none; found on training flights, as is the next."""
+    teacher_factor: float = 5.0
+    """The teacher's sigma of linear acceleration over the true one (its mean over a second)."""
     horizon_s: float = 30.0
-    """The loss also has the attitude error that the error of the bias brings within this time: chunks are too short to
+    """The loss ``budget`` also has the attitude error that the error of the bias brings within this time: chunks are too short to
     show it."""
     yaw_weight: float = 0.05
     """Weight of the attitude error about all axes beside the tilt error."""
@@ -69,6 +75,8 @@ class Settings:
                 raise InputError(f"training: {key} is {getattr(self, key)}, must be at least 1")
         if self.activation not in ACTIVATIONS or self.optimiser not in ("adam", "sgd"):
             raise InputError(f"training: activation must be one of {ACTIVATIONS}, optimiser adam or sgd")
+        if self.loss not in ("teacher", "budget"):
+            raise InputError(f"training: loss is '{self.loss}', must be teacher or budget")
         if not (self.window_s > 0 and self.learning_rate > 0 and 0 < self.final_rate <= 1):
             raise InputError("training: window_s and learning_rate must be positive, final_rate within (0, 1]")
 
@@ -139,8 +147,23 @@ def normalisation(flights: Sequence[Prepared]) -> dict[str, NDArray[np.float32]]
     return {key: v.astype(np.float32) for key, v in {"mean": mean, "std": std, "scale": scale}.items()}
 
 
+def teacher_sigma(accel: NDArray[Any], gravity_b: NDArray[Any], rate: float, floor: float, factor: float) -> NDArray[Any]:
+    """(N,3) sigma (m/s²) for a filter that knows the linear acceleration, from specific force and true gravity in b."""
+    half = max(1, round(0.5 * rate))
+    padded = np.pad(np.cumsum(accel + gravity_b, axis=0), ((half + 1, half), (0, 0)), mode="edge")
+    padded[: half + 1] = 0.0
+    n = len(accel)
+    first, last = np.maximum(np.arange(n) - half, 0), np.minimum(np.arange(n) + half, n - 1)
+    mean = (padded[2 * half + 1 :] - padded[:n]) / (last - first + 1)[:, None]
+    return np.hypot(floor, factor * mean)
+
+
 def make_batch(
-    windows: Sequence[tuple[Prepared, int]], rows: int, device: torch.device, dtype: torch.dtype = torch.float32
+    windows: Sequence[tuple[Prepared, int]],
+    rows: int,
+    device: torch.device,
+    dtype: torch.dtype = torch.float32,
+    teacher: tuple[float, float] = (0.5, 5.0),
 ) -> Batch:
     """Load windows that start at rows that are multiples of the stride; none starts at row 0, which has no truth before it."""
     from testbed.rotations import quats_to_matrices
@@ -155,7 +178,10 @@ def make_batch(
 
     truth = np.stack([quats_to_matrices(d["q_nb"].astype(np.float64)) for d in before])
     accel = [d["accel"] - prepared.accel_bias for d, (prepared, _) in zip(data, windows, strict=True)]
+    gravity_b = [c[1:, 2] * prepared.model[10] for c, (prepared, _) in zip(truth, windows, strict=True)]
+    rate = 1.0 / float(windows[0][0].model[9])
     return Batch(
+        accel_sigma=tensor(np.stack([teacher_sigma(f, g, rate, *teacher) for f, g in zip(accel, gravity_b, strict=True)])),
         gyro=tensor(np.stack([d["gyro"] for d in data])),
         accel=tensor(np.stack(accel)),
         mag=tensor(np.stack([d["mag"] for d in data])),
@@ -212,9 +238,28 @@ class _Training:
         self.budget = ErrorBudget(self.filter, model, gyro.rate_random_walk, markov)
         kinds = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD}
         self.optimiser = kinds[settings.optimiser](self.network.parameters(), lr=settings.learning_rate)
+        self._teacher = (settings.teacher_floor_mps2, settings.teacher_factor)
+        self.weight = self.filter.eye.new_ones(6, 12)
+        self.weight[:3, :3] = 5.0  # what gravity tells of the attitude decides roll and pitch
+        self.network.scale.copy_(torch.as_tensor(self._gain_scale()))
         self.updates = 0
         self.best = (np.inf, -1)
         self.curve: list[dict[str, float]] = []
+
+    def _gain_scale(self) -> NDArray[np.float32]:
+        """Root mean square of each element of the teacher's gain, the largest of three axes: the unit of the residual."""
+        rows = min(self.rows, 10 * self.settings.chunk)
+        windows = [window for batch in self._windows(0) for window in batch][: self.settings.batch]
+        b, total = make_batch(windows, rows, self.device, teacher=self._teacher), 0.0
+        teacher = b.p.clone()
+        for n in range(rows):
+            z, k, turn = self.filter.before(b, n)
+            wanted, teacher = self.filter.gain(teacher, turn, self.filter.seen(b, b.c_nb), b.accel_sigma[:, n])
+            self.filter.after(b, z, k)
+            if n >= rows // 2:
+                total = total + (wanted**2).mean(0)
+        rms = np.sqrt(total.cpu().numpy() / (rows - rows // 2)).reshape(6, 4, 3)  # type: ignore[union-attr]
+        return np.broadcast_to(rms.max(2, keepdims=True) + 1e-12, rms.shape).reshape(72).astype(np.float32)
 
     def run(self, resume: bool) -> Path:
         """All epochs that are still to do."""
@@ -222,14 +267,14 @@ class _Training:
         if first == 0:
             error = self._validate()
             self._keep_best(error, -1)
-            self.curve.append({"epoch": 0, "train_tilt_deg": float("nan"), "validation_deg": error, "updates": 0})
+            self.curve.append({"epoch": 0, "train_deg": float("nan"), "validation_deg": error, "updates": 0})
             self.tell(f"before training (the KF itself): validation {error:.4f} deg")
         started = time.monotonic()
         for epoch in range(first, self.settings.epochs):
             error = self._epoch(epoch)
             valid = self._validate()
             self.curve.append(
-                {"epoch": epoch + 1, "train_tilt_deg": error, "validation_deg": valid, "updates": self.updates}
+                {"epoch": epoch + 1, "train_deg": error, "validation_deg": valid, "updates": self.updates}
             )
             self._keep_best(valid, epoch)
             self._save(epoch + 1)
@@ -264,7 +309,8 @@ class _Training:
         chunks, told = range(0, self.rows, self.settings.chunk), time.monotonic()
         for g, group in enumerate(groups):
             loaded = [self._start(windows, rng) for windows in group]
-            states = [(self.network.start(len(b.truth)), self.budget.start(b)) for b in loaded]
+            imitate = self.settings.loss == "teacher"
+            states = [(self.network.start(len(b.p)), self.budget.start(b), b.p.clone() if imitate else None) for b in loaded]
             for k, chunk in enumerate(chunks):
                 self._set_rate(epoch + (g + k / len(chunks)) / len(groups))
                 for i, batch in enumerate(loaded):
@@ -279,26 +325,30 @@ class _Training:
         """One step of the optimiser on one chunk; returns memory and errors after it, and the mean square tilt (deg²)."""
         b.c_nb = _orthonormal(b.c_nb)
         memory = [(h.detach(), c.detach()) for h, c in state[0]]
-        errors = (state[1][0].detach(), state[1][1].detach())
+        errors, teacher = (state[1][0].detach(), state[1][1].detach()), state[2]
         tilts, losses = [], []
         for n in range(start, start + self.settings.chunk):
             z, k, turn = self.filter.before(b, n)
             change, memory = self.network(self.filter.inputs(z, k, b.bias, b.disturbance), memory)
-            k = k + change
-            self.filter.after(b, z, k)
-            seen = self.filter.seen(b, b.truth[:, n + 1])
-            beyond = torch.cat([-b.accel[:, n], b.mag[:, n]], 1) - seen
-            errors = self.budget.step(errors, turn, seen, beyond, k)
-            tilt, loss = self.budget.cost(errors, seen, self.settings.yaw_weight, self.settings.horizon_s)
-            tilts.append(tilt.detach())
+            if teacher is None:
+                seen = self.filter.seen(b, b.truth[:, n + 1])
+                beyond = torch.cat([-b.accel[:, n], b.mag[:, n]], 1) - seen
+                errors = self.budget.step(errors, turn, seen, beyond, k + change)
+                loss = self.budget.cost(errors, seen, self.settings.yaw_weight, self.settings.horizon_s)[1] * DEGREES**2
+            else:
+                wanted, teacher = self.filter.gain(teacher, turn, self.filter.seen(b, b.c_nb), b.accel_sigma[:, n])
+                distance = ((k + change - wanted) / self.network.scale.view(6, 12)) ** 2
+                loss = (distance * self.weight).mean()
+            self.filter.after(b, z, k + change)
+            tilts.append(((b.c_nb - b.truth[:, n + 1])[:, 2] ** 2).sum(1).mean())
             losses.append(loss)
         self.optimiser.zero_grad(set_to_none=True)
-        (torch.stack(losses).mean() * DEGREES**2).backward()
+        torch.stack(losses).mean().backward()
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.gradient_limit)
         if bool(torch.isfinite(norm)):
             self.optimiser.step()
             self.updates += 1
-        return (memory, errors), float(torch.stack(tilts).mean()) * DEGREES**2
+        return (memory, errors, teacher), float(torch.stack(tilts).mean()) * DEGREES**2
 
     def _set_rate(self, progress: float) -> None:
         s = self.settings
@@ -309,7 +359,7 @@ class _Training:
 
     def _start(self, windows: list[tuple[Prepared, int]], rng: np.random.Generator) -> Batch:
         """Load windows, with an error of the reference where one is asked for."""
-        batch = make_batch(windows, self.rows, self.device)
+        batch = make_batch(windows, self.rows, self.device, teacher=self._teacher)
         if self.settings.reference_noise_deg:
             error = rng.normal(0.0, self.settings.reference_noise_deg / DEGREES, (len(windows), 3))
             turn = self.filter.rotation(torch.as_tensor(error).to(self.device, torch.float32))

@@ -56,7 +56,7 @@ def run(
     if not (result.runs["status"] == "ok").any():
         raise TestbedError(f"{folder}: no estimator came to the end of a run")
     if report:
-        render(folder)
+        render(folder, svg=False)
     print(f"report: {folder / 'report.html'}" if report else f"tables: {folder}; the report: testbed report {folder}")
 
 

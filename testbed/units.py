@@ -7,14 +7,17 @@ any process, in any order, and again. It returns the bytes of its files; only th
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from testbed import details, metrics, pipeline
+from testbed.errors import TestbedError
 from testbed.limits import TimeLimitError, time_limit
 from testbed.records import Array, NavSolution, SensorErrors, SensorLog, Trajectory
 from testbed.registry import load_plugin, make_estimator
@@ -182,7 +185,12 @@ def lost(setup: Setup, run: int, reason: str) -> UnitResult:
 
 
 def _reason(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}".strip().splitlines()[0][:300]
+    """Type, message and place of an error in one line; a user's mistake already says where it is."""
+    text = f"{type(error).__name__}: {error}".strip().splitlines()[0][:300]
+    frames = traceback.extract_tb(error.__traceback__)
+    if not frames or isinstance(error, TestbedError):
+        return text
+    return f"{text} ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
 
 
 def _short(status: str) -> str:

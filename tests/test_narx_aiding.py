@@ -271,3 +271,68 @@ def test_wrong_parameters_are_refused(keys, message):
 def test_unknown_input_names_are_refused(lesson_log):
     with pytest.raises(InputError, match="yaw"):
         Nnckf(**SHORT | {"inputs": ["yaww"]}).fit([(lesson_log, None)])
+
+
+@pytest.fixture(scope="module")
+def short_scenario():
+    """Flight 1 for 220 s, two windows of 60 s to learn from."""
+    from testbed.scenario import load_scenario
+
+    shorter = {"extra.training.flight.duration_s": 220.0, "flight.duration_s": 120.0, "sensors.gnss.outages": []}
+    return load_scenario("narx-ukf-2021", overrides=shorter)
+
+
+def test_features_ranks_the_candidates_and_draws_the_lag_curve(short_scenario, tmp_path):
+    import pandas as pd
+
+    from testbed.features.command import features
+
+    said = []
+    folder = features(short_scenario, tmp_path / "out", "NNAKF", tell=said.append)
+    ranking, lags = pd.read_csv(folder / "ranking.csv"), pd.read_csv(folder / "lags.csv")
+    assert len(ranking) == 60 and set(ranking["input"]) >= {"lat", "yaw", "t"}
+    for _, rows in ranking.groupby("target"):
+        assert rows["score"].is_monotonic_decreasing
+        np.testing.assert_allclose(rows["score"], rows["relevance"] - rows["redundancy"], atol=1e-5)
+    assert (lags.groupby("target")["chosen"].sum() == 1).all()
+    assert (folder / "lags.png").read_bytes()[:4] == b"\x89PNG"
+    assert any("v_north" in line for line in said)
+
+
+def test_features_of_a_row_without_networks_is_refused(short_scenario, tmp_path):
+    from testbed.features.command import features
+
+    with pytest.raises(InputError, match="NNCKF"):
+        features(short_scenario, tmp_path / "out", "EKF")
+    assert not (tmp_path / "out").exists()
+
+
+def test_training_flights_are_another_flight_with_gnss_throughout(short_scenario):
+    """The same unit (its drawn constants), other noise, no outage; the digest follows the flight, not the outages."""
+    from testbed import pipeline
+    from testbed.training_flights import FIRST_RUN, training_digest, training_flights, training_scenario
+
+    ((log, trajectory),) = training_flights(short_scenario)
+    assert trajectory.t[-1] == pytest.approx(220.0) and log.gnss.outages == ()
+    assert np.diff(log.gnss.t).max() < 0.21
+    lesson = training_scenario(short_scenario)
+    first, other = (pipeline.sense(lesson, trajectory, run=run)[1] for run in (FIRST_RUN, 0))
+    np.testing.assert_array_equal(first.constants["gyro_scale_factor"], other.constants["gyro_scale_factor"])
+    moved = short_scenario.model_copy(update={"sensors": lesson.sensors})
+    assert training_digest(moved) == training_digest(short_scenario)
+
+
+def test_the_parts_of_an_outage_add_up(flight):
+    """Started where the filter was, a free run ends where the filter's coasting ends; from the truth, with perfect
+    sensors, it ends at the truth."""
+    from reports.outage_growth import GROUPS, growth
+    from testbed.records import SensorErrors
+
+    log = fly_log(flight, gyro_noise=2e-3, accel_noise=0.2)
+    solution = DirectEkf().run(log)
+    zero = np.zeros((len(log.imu.t), 3))
+    parts = growth(flight, log, SensorErrors(log.imu.t, zero, zero), solution)["error_m"][0]
+    assert parts[GROUPS.index("all of it")] == pytest.approx(position_error(flight, solution)[-1], rel=0.02)
+    perfect = replace(log, imu=replace(log.imu, gyro=flight.w_ib_b[1:], accel=flight.f_b[1:]))
+    parts = growth(flight, perfect, SensorErrors(log.imu.t, zero, zero), solution)["error_m"][0]
+    assert parts[GROUPS.index("sensor errors in the outage")] < 0.01

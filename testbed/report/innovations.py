@@ -211,7 +211,7 @@ def _draw_series(ax: Axes, channel: Channel, shade: str, outages: Spans) -> None
 def _draw_histogram(ax: Axes, channel: Channel, shade: str) -> None:
     reach = max(4.0, min(30.0, float(np.percentile(np.abs(channel.scaled), 98))))
     edges = np.linspace(-reach, reach, 33)
-    ax.hist(np.clip(channel.scaled, -reach, reach), bins=edges, density=True, color=shade, alpha=0.55)
+    ax.hist(np.clip(channel.scaled, -reach, reach), bins=list(edges), density=True, color=shade, alpha=0.55)
     x = np.linspace(-reach, reach, 400)
     ax.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), color="black", lw=0.8)
     p = channel.normal_p

@@ -1,0 +1,131 @@
+"""KFANN 2018 beyond its table: where does the method win? Outage length against gyro bias, and what the networks put out.
+
+Lengths come from one outage of 120 s scored over its first seconds: no estimate in an outage knows when it ends. Seconds,
+degrees per second, metres. Written: ``outage-map.png``, ``outage-map.csv``, ``network-output.png``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+SCENARIO, VARIANT = "kfann-2018", "long-outage"
+BIAS_KEY = "sensors.imu.gyro_turn_on_bias_dps"
+BIASES_DPS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.55, 1.0)
+RUNS = 20
+METRIC = "rmse_position_3d_m"
+PAPER = ("Update INS", "ANN NN3", "KFANN NN3")
+MODERN = "15-state coasting"
+COLOURS = {"Update INS": "#9ecae1", "ANN NN3": "#fdae6b", "KFANN NN3": "#a1d99b"}
+
+
+def make_maps(
+    results: Path, target: Path, resume: bool = False, announce: Callable[[str], None] | None = None
+) -> pd.DataFrame:
+    """Sweep the bias, and write map and table to ``target``; the sweep itself goes to ``results``."""
+    from testbed.scenario import load_scenario
+    from testbed.sweep import sweep
+
+    def load(overrides: Mapping[str, Any]) -> Any:
+        return load_scenario(SCENARIO, variant=VARIANT, overrides={**overrides, "monte_carlo.runs": RUNS})
+
+    rows = sweep(load, {BIAS_KEY: BIASES_DPS}, results, resume=resume, announce=announce)
+    table = map_table(rows)
+    target.mkdir(parents=True, exist_ok=True)
+    table.to_csv(target / "outage-map.csv", index=False, float_format="%.5g", lineterminator="\n")
+    draw_map(table).savefig(target / "outage-map.png", dpi=120, metadata={"Software": None})
+    return table
+
+
+def map_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Of a sweep's rows: gyro_bias_dps, outage_s, estimator, mean_m, ci_low_m, ci_high_m, n."""
+    chosen = rows[(rows["metric"] == METRIC) & rows["window"].str.startswith("first_")].copy()
+    chosen["outage_s"] = chosen["window"].str.extract(r"first_(\d+)_s", expand=False).astype(int)
+    names = {BIAS_KEY: "gyro_bias_dps", "mean": "mean_m", "ci_low": "ci_low_m", "ci_high": "ci_high_m"}
+    columns = ["gyro_bias_dps", "outage_s", "estimator", "mean_m", "ci_low_m", "ci_high_m", "n"]
+    return chosen.rename(columns=names)[columns].sort_values(columns[:2], kind="stable").reset_index(drop=True)
+
+
+def draw_map(table: pd.DataFrame) -> Figure:
+    """Three maps over outage length and bias: KFANN against Update INS, best of the paper's three, what 15 states gain."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.colors import ListedColormap
+    from matplotlib.figure import Figure
+
+    grids = {
+        str(name): part.pivot(index="gyro_bias_dps", columns="outage_s", values="mean_m")
+        for name, part in table.groupby("estimator", sort=False)
+    }
+    shape = next(iter(grids.values()))
+    figure = Figure(figsize=(11.0, 3.9), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, 3, sharey=True)
+    gain = np.log10((grids["KFANN NN3"] / grids["Update INS"]).to_numpy())
+    limit = float(np.ceil(np.nanmax(np.abs(gain)) * 10) / 10)
+    axes[0].imshow(gain, origin="lower", aspect="auto", cmap="RdBu_r", vmin=-limit, vmax=limit)
+    axes[0].set_title("RMSE of KFANN NN3 over Update INS", fontsize=9)
+    label(axes[0], 10.0**gain, np.abs(gain) > 0.6 * limit)
+    best = np.argmin([grids[name].to_numpy() for name in PAPER], axis=0)
+    shades = ListedColormap([COLOURS[name] for name in PAPER])
+    axes[1].imshow(best, origin="lower", aspect="auto", cmap=shades, vmin=-0.5, vmax=len(PAPER) - 0.5)
+    axes[1].set_title("Best of the paper's three, its RMSE in m", fontsize=9)
+    label(axes[1], np.min([grids[name].to_numpy() for name in PAPER], axis=0))
+    for name in PAPER:
+        axes[1].plot([], [], "s", color=COLOURS[name], label=name)
+    axes[1].legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=3, fontsize=7, frameon=False)
+    modern = np.log10((grids["Update INS"] / grids[MODERN]).to_numpy())
+    top = float(max(np.nanmax(np.abs(modern)), 0.1))
+    axes[2].imshow(modern, origin="lower", aspect="auto", cmap="PuOr", vmin=-top, vmax=top)
+    axes[2].set_title(f"{MODERN}, its RMSE in m", fontsize=9)
+    label(axes[2], grids[MODERN].to_numpy(), np.abs(modern) > 0.7 * top)
+    for ax in axes:
+        ax.set_xticks(range(len(shape.columns)), [str(c) for c in shape.columns])
+        ax.set_xlabel("outage, s")
+    axes[0].set_yticks(range(len(shape.index)), [f"{b:g}" for b in shape.index])
+    axes[0].set_ylabel("gyro bias unknown to the 9-state filter, °/s (1σ)")
+    return figure
+
+
+def label(ax: Any, values: np.ndarray, dark: np.ndarray | None = None) -> None:
+    """Write each cell's value into it."""
+    from testbed.report.labels import number
+
+    for (row, column), value in np.ndenumerate(values):
+        colour = "white" if dark is not None and dark[row, column] else "black"
+        ax.text(column, row, number(float(value), 2), ha="center", va="center", fontsize=7, color=colour)
+
+
+def draw_network_output(folder: Path, label: str = "KFANN NN3") -> Figure:
+    """Run 0 of a result folder: the INS's true error before and in the outage, and what the networks say it is."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from testbed.report.results import load_result
+
+    result = load_result(folder)
+    error, said = result.errors["INS"], result.extras[label]
+    start, end = result.outages[0]
+    figure = Figure(figsize=(6.3, 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(3, 1, sharex=True)
+    shown = error[error["time_s"] <= end]
+    for k, (ax, axis) in enumerate(zip(axes, ("north", "east", "down"), strict=True)):
+        ax.plot(shown["time_s"], shown[f"{axis}_m"], color="black", lw=1.0, label="true error of the INS")
+        rows = said[(said["name"] == "network_output") & (said["component"] == k)]
+        ax.plot(rows["time_s"], rows["value"], color="#D55E00", lw=1.4, label=f"networks of {label}")
+        learnt = shown.loc[shown["time_s"] <= start, f"{axis}_m"]
+        ax.axhspan(learnt.min(), learnt.max(), color="#0072B2", alpha=0.12, lw=0, label="range learnt from")
+        ax.axvspan(start, end, color="#000000", alpha=0.08, lw=0)
+        ax.set_ylabel(f"{axis.capitalize()}, m", fontsize=8)
+        ax.tick_params(labelsize=8)
+        ax.margins(x=0)
+    axes[0].legend(fontsize=7, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
+    axes[-1].set_xlabel("Time, s", fontsize=8)
+    return figure
