@@ -39,16 +39,16 @@ class Settings:
     layers: int = 2
     neurons: int = 200
     activation: str = "sigmoid"
-    epochs: int = 10
+    epochs: int = 3
     batch: int = 64
-    interleave: int = 4
+    interleave: int = 3
     """Batches that take turns, a chunk each, so that one update after another sees other windows."""
     window_s: float = 150.0
     chunk: int = 50
     """Samples through which the gradient runs back."""
     optimiser: str = "adam"
     """``adam`` or ``sgd`` (the paper's)."""
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
     final_rate: float = 0.1
     """The rate falls to this part of itself over the training, along a cosine."""
     loss: str = "teacher"
@@ -239,27 +239,41 @@ class _Training:
         kinds = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD}
         self.optimiser = kinds[settings.optimiser](self.network.parameters(), lr=settings.learning_rate)
         self._teacher = (settings.teacher_floor_mps2, settings.teacher_factor)
-        self.weight = self.filter.eye.new_ones(6, 12)
-        self.weight[:3, :3] = 5.0  # what gravity tells of the attitude decides roll and pitch
-        self.network.scale.copy_(torch.as_tensor(self._gain_scale()))
+        scales = [torch.as_tensor(v).to(self.network.scale) for v in self._teacher_scales()]
+        self.network.scale.copy_(scales[0])
+        self.correction_scale = scales[1]
         self.updates = 0
         self.best = (np.inf, -1)
         self.curve: list[dict[str, float]] = []
 
-    def _gain_scale(self) -> NDArray[np.float32]:
-        """Root mean square of each element of the teacher's gain, the largest of three axes: the unit of the residual."""
+    def _teacher_scales(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Root mean square of the teacher's gain (72) and of its corrections (12), each the largest of three axes.
+
+        The first is the unit of the network's residual.
+        """
         rows = min(self.rows, 10 * self.settings.chunk)
         windows = [window for batch in self._windows(0) for window in batch][: self.settings.batch]
-        b, total = make_batch(windows, rows, self.device, teacher=self._teacher), 0.0
-        teacher = b.p.clone()
+        b = make_batch(windows, rows, self.device, teacher=self._teacher)
+        teacher, gains, corrections = b.p.clone(), b.p.new_zeros(6, 12), b.p.new_zeros(12)
         for n in range(rows):
             z, k, turn = self.filter.before(b, n)
             wanted, teacher = self.filter.gain(teacher, turn, self.filter.seen(b, b.c_nb), b.accel_sigma[:, n])
             self.filter.after(b, z, k)
             if n >= rows // 2:
-                total = total + (wanted**2).mean(0)
-        rms = np.sqrt(total.cpu().numpy() / (rows - rows // 2)).reshape(6, 4, 3)  # type: ignore[union-attr]
-        return np.broadcast_to(rms.max(2, keepdims=True) + 1e-12, rms.shape).reshape(72).astype(np.float32)
+                gains += (wanted**2).mean(0) / (rows - rows // 2)
+                corrections += (torch.einsum("bci,bc->bi", wanted, z) ** 2).mean(0) / (rows - rows // 2)
+
+        def largest(square: Any) -> NDArray[np.float32]:
+            rms = square.sqrt().cpu().numpy().reshape(-1, 3)
+            return np.repeat(rms.max(1) + 1e-12, 3).astype(np.float32)
+
+        return largest(gains), largest(corrections)
+
+    def _distance(self, gain: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
+        """Mean square of a difference of gains, by the corrections that it makes and, less, by its elements."""
+        by_correction = (torch.einsum("bci,bc->bi", gain, z) / self.correction_scale) ** 2
+        by_element = (gain / self.network.scale.view(6, 12)) ** 2
+        return by_correction[:, :6].mean() + 0.1 * by_element.mean()
 
     def run(self, resume: bool) -> Path:
         """All epochs that are still to do."""
@@ -337,8 +351,7 @@ class _Training:
                 loss = self.budget.cost(errors, seen, self.settings.yaw_weight, self.settings.horizon_s)[1] * DEGREES**2
             else:
                 wanted, teacher = self.filter.gain(teacher, turn, self.filter.seen(b, b.c_nb), b.accel_sigma[:, n])
-                distance = ((k + change - wanted) / self.network.scale.view(6, 12)) ** 2
-                loss = (distance * self.weight).mean()
+                loss = self._distance(k + change - wanted, z)
             self.filter.after(b, z, k + change)
             tilts.append(((b.c_nb - b.truth[:, n + 1])[:, 2] ** 2).sum(1).mean())
             losses.append(loss)

@@ -6,6 +6,7 @@ a network would have to foretell. Metres, m/s², rad/s.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,55 @@ from testbed import earth
 from testbed.records import NavSolution, SensorErrors, SensorLog, Trajectory
 from testbed.rotations import quat_multiply, rotvec_to_quat
 
+SCENARIO = "narx-ukf-2021"
+FILTERS = {"EKF": "direct-ekf", "UKF": "direct-ukf"}
+CONVERGED_S = 249.0
+"""Just before the first outage."""
+AXES = ("accel x", "accel y", "accel z", "gyro x", "gyro y", "gyro z")
 GROUPS = ("position and velocity", "attitude", "biases", "sensor errors in the outage", "all of it")
+
+
+def write_growth(target: Path, variant: str | None = None, runs: int = 5) -> Path:
+    """Fly the scenario, run both filters on ``runs`` logs, and write ``outage-growth.md`` to ``target``."""
+    from testbed import pipeline
+    from testbed.registry import make_estimator
+    from testbed.scenario import load_scenario
+
+    scenario = load_scenario(SCENARIO, variant=variant)
+    trajectory = pipeline.fly(scenario)
+    parts: dict[str, list[Any]] = {label: [] for label in FILTERS}
+    for run in range(runs):
+        log, errors = pipeline.sense(scenario, trajectory, run=run)
+        assert log.gnss is not None and errors is not None
+        for label, name in FILTERS.items():
+            solution = make_estimator(name).run(log)
+            outside = outside_share(trajectory, solution, log.gnss.outages)
+            found = growth(trajectory, log, errors, solution)["error_m"], bias_table(solution, errors), outside
+            parts[label].append(found)
+    lines = [f"# What grows in an outage ({runs} runs)", ""]
+    lines += ["RMS position error (m) at the end of an outage, from the truth with one group of errors put in:", ""]
+    lines += _rows(
+        "filter", GROUPS, {k: np.sqrt(np.mean([g**2 for g, _, _ in v], axis=(0, 1))) for k, v in parts.items()}
+    )
+    lines += ["", f"Bias estimates at {CONVERGED_S:g} s, per cent right (mean over runs):", ""]
+    lines += _rows("filter", AXES, {k: np.mean([b["right_pct"] for _, b, _ in v], axis=0) for k, v in parts.items()})
+    lines += ["", "Settled within a tenth of the bias after (s):", ""]
+    lines += _rows(
+        "filter", AXES, {k: np.mean([b["convergence_s"] for _, b, _ in v], axis=0) for k, v in parts.items()}
+    )
+    lines += ["", "Share of the time in outages (%) outside of +-3 sigma:", ""]
+    states = [f"{what} {axis}" for what in ("position", "velocity", "attitude") for axis in ("N", "E", "D")]
+    lines += _rows("filter", states, {k: 100.0 * np.mean([o for _, _, o in v], axis=0) for k, v in parts.items()})
+    target.mkdir(parents=True, exist_ok=True)
+    path = target / "outage-growth.md"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def _rows(corner: str, columns: Any, rows: dict[str, Any]) -> list[str]:
+    """A Markdown table of numbers."""
+    head = [f"| {corner} | " + " | ".join(columns) + " |", "| --- |" + " ---: |" * len(columns)]
+    return head + [f"| {label} | " + " | ".join(f"{value:.1f}" for value in row) + " |" for label, row in rows.items()]
 
 
 def growth(trajectory: Trajectory, log: SensorLog, errors: SensorErrors, solution: NavSolution) -> dict[str, Any]:
@@ -64,7 +113,7 @@ def _coast(
 
 
 def bias_table(
-    solution: NavSolution, errors: SensorErrors, until: float = 249.0, within: float = 0.1
+    solution: NavSolution, errors: SensorErrors, until: float = CONVERGED_S, within: float = 0.1
 ) -> dict[str, Any]:
     """How right the bias estimates were with GNSS: truth, estimate and per cent right at ``until``, convergence times.
 

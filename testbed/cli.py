@@ -228,6 +228,100 @@ def compare_command(
     raise typer.Exit(commands.compare(old, new))
 
 
+@app.command("features")
+def features_command(
+    scenario: ScenarioArgument,
+    estimator: Annotated[
+        str | None, typer.Option(help="Row whose networks are meant; default: the first that can say.")
+    ] = None,
+    inputs: Annotated[int, typer.Option(min=1, help="How many of the best inputs get a lag curve.")] = 4,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+) -> None:
+    """Rank a network's candidate inputs (MRMR) and measure the lags that they need (Lipschitz)."""
+    from testbed.features.command import features
+
+    loaded = _loader(scenario, profile, variant, settings)({})
+    print(f"tables and plot: {features(loaded, out or Path('results') / f'{loaded.name}-features', estimator, inputs)}")
+
+
+@app.command("dataset")
+def dataset_command(
+    scenario: ScenarioArgument,
+    flights: Annotated[int | None, typer.Option(min=1, help="Number of flights in place of the scenario's.")] = None,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+) -> None:
+    """Fly and record training data for the networks of a scenario."""
+    from testbed.commands import progress_line
+    from testbed.dataset import make_dataset
+
+    loaded = _loader(scenario, profile, variant, settings)({})
+    with progress_line("flights") as tell:
+        print(f"data set: {make_dataset(loaded, out or Path('results') / f'{loaded.name}-dataset', flights, tell)}")
+
+
+@app.command("train")
+def train_command(
+    scenario: ScenarioArgument,
+    data: Annotated[
+        Path | None, typer.Option(help="Data set of 'testbed dataset'; default: made and kept in the cache.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")] = False,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+) -> None:
+    """Train the networks of a scenario and store their weights."""
+    from testbed.training import train
+
+    loaded = _loader(scenario, profile, variant, settings)({})
+    print(f"weights: {train(loaded, out or Path('results') / f'{loaded.name}-training', data, resume)}")
+
+
+@app.command("tune")
+def tune_command(
+    scenario: ScenarioArgument,
+    algorithms: Annotated[
+        str | None, typer.Option(metavar="A,B", help="ga, pso, ipo, mipo, sipo, iipo, cma-es, de.")
+    ] = None,
+    iterations: Annotated[
+        str | None, typer.Option(metavar="N,M", help="Iterations of the independent searches.")
+    ] = None,
+    population: Annotated[int | None, typer.Option(min=2, help="Candidates per iteration.")] = None,
+    seeds: Annotated[str | None, typer.Option(metavar="1,2", help="Seeds of the searches.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Threads; default: one per core.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Complete an earlier study.")] = False,
+    time_limit: Annotated[float | None, typer.Option(min=1.0, help="Stop, resumable, after so many seconds.")] = None,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+    plugin: PluginOption = None,
+) -> None:
+    """Search the declared parameters of estimators; score the best on seeds that the search never saw."""
+    from testbed.tuning.command import tune
+
+    _load_plugins(plugin)
+    tune(
+        _loader(scenario, profile, variant, settings)({}),
+        out,
+        algorithms=algorithms,
+        iterations=iterations,
+        population=population,
+        seeds=seeds,
+        jobs=jobs,
+        resume=resume,
+        time_limit=time_limit,
+        plugins=plugin or [],
+    )
+
+
 @app.command("list")
 def list_command(
     what: Annotated[

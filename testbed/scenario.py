@@ -213,6 +213,9 @@ class Scenario(Table):
         data["monte_carlo"].pop("runs")
         for presentation in ("claims", "tables"):
             data.pop(presentation, None)
+        for sensor in data.get("sensors", {}).values():
+            if isinstance(sensor, dict) and "file" in sensor:
+                sensor["file"] = hashlib.sha256(Path(sensor["file"]).read_bytes()).hexdigest()
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -127,6 +127,24 @@ def test_closed_loop_does_not_look_at_the_targets(lesson_log):
     np.testing.assert_array_equal(networks.closed_loop(blind)[0], networks.closed_loop(drifts[0])[0])
 
 
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
+def test_outages_at_either_end_of_a_log(flight, scheme):
+    """Before the first lesson the filter coasts alone; an outage that never ends is bridged to the last sample."""
+    log = fly_log(flight, outages=((4.9, 9.9), (150.0, 201.0)))
+    solution = scheme.run(log)
+    assert np.isfinite(solution.lat).all() and np.isfinite(solution.std).all()
+    starts, _ = solution.extras["network_limited"]
+    assert starts == pytest.approx([149.8])
+    filters = DirectEkf().run(log)
+    rows = solution.t < 149.0
+    np.testing.assert_allclose(solution.v_n[rows], filters.v_n[rows], atol=1e-4)
+
+
+def test_a_log_without_gnss_is_refused(log):
+    with pytest.raises(InputError, match="nnckf"):
+        SCHEMES[0].run(replace(log, gnss=None))
+
+
 class Oracle(DriftNetworks):
     """Networks that know the truth."""
 

@@ -215,7 +215,15 @@ def test_report_needs_a_finished_study(tmp_path):
 
 
 def test_command(tmp_path, capsys):
-    tune_command(scenario(cases=[{"name": "one"}]), tmp_path / "s", algorithms="pso", iterations="2", population=3, seeds="1,2", jobs=1)
+    tune_command(
+        scenario(cases=[{"name": "one"}]),
+        tmp_path / "s",
+        algorithms="pso",
+        iterations="2",
+        population=3,
+        seeds="1,2",
+        jobs=1,
+    )
     captured = capsys.readouterr()
     assert "data-sheet" in captured.out and "pso-0002-seed2" in captured.out and "findings.md" in captured.out
     assert "left" in captured.err and "best" in captured.err

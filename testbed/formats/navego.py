@@ -108,7 +108,7 @@ def _find(folder: Path, files: Mapping[str, str]) -> dict[str, Path]:
         if key not in STRUCTS:
             raise InputError(f"files: unknown part '{key}' of a navego recording; {nearest(key, STRUCTS)}")
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder")
+        raise InputError(f"{folder}: no such folder; the key recording.dir says where the recording lies")
     found: dict[str, Path] = {}
     for kind in STRUCTS:
         if kind in files:

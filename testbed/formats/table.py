@@ -59,7 +59,7 @@ class Tables:
 
     def __init__(self, folder: Path, files: Mapping[str, str], columns: Mapping[str, str | dict[str, str]]) -> None:
         if not folder.is_dir():
-            raise InputError(f"{folder}: no such folder")
+            raise InputError(f"{folder}: no such folder; the key recording.dir says where the recording lies")
         _check_mapping(columns, folder)
         self.folder = folder
         self.parts: dict[str, dict[str, Array]] = {}

@@ -92,7 +92,7 @@ def _file(folder: Path, files: Mapping[str, str]) -> Path:
     if "log" in files:
         return existing(folder / files["log"], "log")
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder")
+        raise InputError(f"{folder}: no such folder; the key recording.dir says where the recording lies")
     found = sorted(folder.glob("*.ulg"))
     if len(found) != 1:
         raise InputError(f"{folder}: holds {len(found)} .ulg files; name the one to use under files.log")

@@ -202,7 +202,8 @@ def _claims(study: Study, ranks: pd.DataFrame) -> list[str]:
         worse = tuned[tuned["ci_high"] < 0.0]
         base = study.heldout.set_index("row").loc[DATA_SHEET]
         seen = int((study.heldout.set_index("row").loc[tuned["row"], "train"] < base["train"]).sum())
-        verdict = "confirmed" if len(better) == len(tuned) else "partly" if len(better) else "refuted here"
+        unseen = "confirmed" if len(better) == len(tuned) else "partly" if len(better) else ""
+        verdict = unseen or ("only on the flight that they were tuned on" if seen else "refuted here")
         rows.append(
             f"2. Tuned settings beat the data sheet: **{verdict}**. On the flight they were tuned on {seen} of {len(tuned)} do; on unseen"
             f" runs {len(better)} of {len(tuned)} are better and {len(worse)} worse with an interval that excludes zero."
