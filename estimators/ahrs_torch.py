@@ -37,9 +37,7 @@ class GainNetwork(nn.Module):
         self.register_buffer("std", std)
         self.register_buffer("scale", scale)
 
-    def forward(
-        self, inputs: Tensor, memory: Memory
-    ) -> tuple[Tensor, Memory]:
+    def forward(self, inputs: Tensor, memory: Memory) -> tuple[Tensor, Memory]:
         """Change of the transposed gain (B,6,12), and the memory after this step."""
         x = self.input(((inputs - self.mean) / self.std).clamp(-float(CLIP), float(CLIP)))
         if self.curved:
@@ -167,7 +165,9 @@ class ErrorBudget:
     the gradient.
     """
 
-    def __init__(self, filter_: BatchFilter, model: Sequence[float], rate_walk: float, markov: tuple[float, float]) -> None:
+    def __init__(
+        self, filter_: BatchFilter, model: Sequence[float], rate_walk: float, markov: tuple[float, float]
+    ) -> None:
         """``rate_walk`` in (rad/s)/√s; ``markov``: sigma (rad/s) and correlation time (s); ``model``: of `MODEL`."""
         self.filter = filter_
         dt, keep = filter_.dt, float(np.exp(-filter_.dt / markov[1]))
@@ -200,7 +200,9 @@ class ErrorBudget:
         cov[:, 6:9, 6:9] += self.markov_variance * self.filter.eye
         return mean, cov
 
-    def step(self, state: tuple[Tensor, Tensor], turn: Tensor, seen: Tensor, v: Tensor, k: Tensor) -> tuple[Tensor, Tensor]:
+    def step(
+        self, state: tuple[Tensor, Tensor], turn: Tensor, seen: Tensor, v: Tensor, k: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """One sample: ``seen`` (B,6) at the true attitude, ``v`` (B,6) what the sensors read beyond it, gain ``k``."""
         mean, cov = state
         n = len(mean)
@@ -214,7 +216,9 @@ class ErrorBudget:
         mean = (total @ mean[:, :, None] + gain @ v[:, :, None])[:, :, 0]
         return mean, total @ cov @ total.transpose(1, 2) + closed @ self.q @ closed.transpose(1, 2)
 
-    def cost(self, state: tuple[Tensor, Tensor], seen: Tensor, yaw_weight: float, horizon_s: float) -> tuple[Tensor, Tensor]:
+    def cost(
+        self, state: tuple[Tensor, Tensor], seen: Tensor, yaw_weight: float, horizon_s: float
+    ) -> tuple[Tensor, Tensor]:
         """Expected square tilt (rad²; roll and pitch together), and the loss, means over the batch."""
         mean, cov = state
         second = cov[:, :6, :6] + mean[:, :6, None] * mean[:, None, :6]

@@ -147,7 +147,9 @@ def normalisation(flights: Sequence[Prepared]) -> dict[str, NDArray[np.float32]]
     return {key: v.astype(np.float32) for key, v in {"mean": mean, "std": std, "scale": scale}.items()}
 
 
-def teacher_sigma(accel: NDArray[Any], gravity_b: NDArray[Any], rate: float, floor: float, factor: float) -> NDArray[Any]:
+def teacher_sigma(
+    accel: NDArray[Any], gravity_b: NDArray[Any], rate: float, floor: float, factor: float
+) -> NDArray[Any]:
     """(N,3) sigma (m/s²) for a filter that knows the linear acceleration, from specific force and true gravity in b."""
     half = max(1, round(0.5 * rate))
     padded = np.pad(np.cumsum(accel + gravity_b, axis=0), ((half + 1, half), (0, 0)), mode="edge")
@@ -181,7 +183,9 @@ def make_batch(
     gravity_b = [c[1:, 2] * prepared.model[10] for c, (prepared, _) in zip(truth, windows, strict=True)]
     rate = 1.0 / float(windows[0][0].model[9])
     return Batch(
-        accel_sigma=tensor(np.stack([teacher_sigma(f, g, rate, *teacher) for f, g in zip(accel, gravity_b, strict=True)])),
+        accel_sigma=tensor(
+            np.stack([teacher_sigma(f, g, rate, *teacher) for f, g in zip(accel, gravity_b, strict=True)])
+        ),
         gyro=tensor(np.stack([d["gyro"] for d in data])),
         accel=tensor(np.stack(accel)),
         mag=tensor(np.stack([d["mag"] for d in data])),
@@ -324,7 +328,9 @@ class _Training:
         for g, group in enumerate(groups):
             loaded = [self._start(windows, rng) for windows in group]
             imitate = self.settings.loss == "teacher"
-            states = [(self.network.start(len(b.p)), self.budget.start(b), b.p.clone() if imitate else None) for b in loaded]
+            states = [
+                (self.network.start(len(b.p)), self.budget.start(b), b.p.clone() if imitate else None) for b in loaded
+            ]
             for k, chunk in enumerate(chunks):
                 self._set_rate(epoch + (g + k / len(chunks)) / len(groups))
                 for i, batch in enumerate(loaded):

@@ -7,7 +7,7 @@ fixes are taken at their own time, between two IMU samples if need be.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from estimators.error_model import N_STATES, coefficients, propagate, symmetrize, transpose
 from estimators.kalman import update
@@ -18,10 +18,8 @@ from testbed.rotations import (
     matrix_rotate,
     quat_multiply,
     quat_normalize,
-    quat_to_euler,
     quat_to_matrix,
     rotvec_to_quat,
-    wrap,
 )
 
 MEASUREMENTS = 6
@@ -207,80 +205,3 @@ def reset(p, change_v):
             p[5, j] += north * change_v[1] - east * change_v[0]
         transpose(p)
     symmetrize(p)
-
-
-@njit(cache=True, parallel=True)
-def filter_candidates(
-    t_start,
-    t,
-    gyro,
-    accel,
-    lever,
-    fix_t,
-    fix_lla,
-    fix_v,
-    start,
-    covariance_start,
-    decay,
-    bias_mean,
-    q,
-    r,
-    stride,
-    truth,
-    rmse,
-):
-    """Filter one log with many noise assumptions: ``q`` (C,12), ``r`` (C,6) variances; arguments as `filter_log`.
-
-    ``truth`` (K,9): lat, lon, h, v_n, roll, pitch, yaw at every ``stride``-th IMU time. ``rmse`` (C,9) is written.
-    """
-    rows, fixes = truth.shape[0], fix_t.shape[0]
-    for c in prange(q.shape[0]):
-        lla, velocity, quaternion = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 4))
-        bias, std, snapshots = np.empty((rows, 6)), np.empty((rows, N_STATES)), np.empty((0, N_STATES, N_STATES))
-        innovation, innovation_covariance = np.empty((fixes, 6)), np.empty((fixes, 6, 6))
-        variance = np.empty((fixes, 6))
-        variance[:] = r[c]
-        filter_log(
-            t_start,
-            t,
-            gyro,
-            accel,
-            lever,
-            fix_t,
-            fix_lla,
-            fix_v,
-            variance,
-            start,
-            covariance_start,
-            q[c],
-            decay,
-            bias_mean,
-            stride,
-            lla,
-            velocity,
-            quaternion,
-            bias,
-            std,
-            t.shape[0] + 1,
-            snapshots,
-            innovation,
-            innovation_covariance,
-        )
-        rmse[c] = root_mean_square(lla, velocity, quaternion, truth)
-
-
-@njit(cache=True)
-def root_mean_square(lla, velocity, quaternion, truth):
-    """(9,) RMSE against ``truth`` (K,9) as in `filter_candidates`: m, m/s, rad."""
-    total = np.zeros(9)
-    for k in range(truth.shape[0]):
-        row = truth[k]
-        north, east, down = earth.position_difference(lla[k, 0], lla[k, 1], lla[k, 2], row[0], row[1], row[2])
-        euler = quat_to_euler(quaternion[k])
-        total[0] += north * north
-        total[1] += east * east
-        total[2] += down * down
-        for i in range(3):
-            total[3 + i] += (velocity[k, i] - row[3 + i]) ** 2
-            total[6 + i] += wrap(euler[i] - row[6 + i]) ** 2
-    return np.sqrt(total / truth.shape[0])

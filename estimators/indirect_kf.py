@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from testbed.errors import InputError
 from testbed.records import GnssFixes, Innovations, NavSolution, SensorLog, Trajectory
-from testbed.rotations import quats_to_eulers
 from testbed.specs import TriadSpec
 
 Array = NDArray[np.float64]
@@ -145,35 +144,6 @@ def recordings(log: SensorLog) -> tuple[float, Array, Array, Array, Array, Array
     place = np.column_stack([gnss.lat, gnss.lon, gnss.h])
     lever = np.array(gnss.spec.lever_arm_b, dtype=float)
     return log.initial.t, log.imu.t, log.imu.gyro, log.imu.accel, lever, gnss.t - gnss.spec.latency_s, place, gnss.v_n
-
-
-def search_errors(
-    log: SensorLog, reference: Trajectory, process_noise: Array, measurement_noise: Array, stride: int = 10
-) -> Array:
-    """RMSE of many filters on one log, in parallel: for tuners.
-
-    Candidate c has the root densities ``process_noise[c]`` (C,12) and standard deviations ``measurement_noise[c]`` (C,6),
-    as the parameters of `IndirectKf`. ``reference`` must hold the IMU times. Every ``stride``-th sample counts.
-    Returns (C,9): m N, E, D; m/s N, E, D; rad roll, pitch, yaw; not finite where a filter diverged.
-    """
-    from estimators.indirect_kernel import filter_candidates
-
-    rows = np.searchsorted(reference.t, log.imu.t[stride - 1 :: stride] - 1e-7)
-    if (
-        len(rows) == 0
-        or rows[-1] >= len(reference.t)
-        or np.abs(reference.t[rows] - log.imu.t[stride - 1 :: stride]).max() > 1e-6
-    ):
-        raise InputError(f"the reference '{reference.name}' has no row at each IMU time of '{log.name}'")
-    truth = np.column_stack(
-        [reference.lat, reference.lon, reference.h, reference.v_n, quats_to_eulers(reference.q_nb)]
-    )[rows]
-    q = np.ascontiguousarray(process_noise, dtype=float) ** 2
-    r = np.maximum(np.ascontiguousarray(measurement_noise, dtype=float), MINIMUM_STD) ** 2
-    start, covariance, _, decay, mean = IndirectKf().model(log)
-    out = np.empty((len(q), 9))
-    filter_candidates(*recordings(log), start, covariance, decay, mean, q, r, stride, truth, out)
-    return out
 
 
 def require_gnss(log: SensorLog, name: str) -> GnssFixes:

@@ -1,6 +1,6 @@
 """One candidate of a search over the settings of `indirect-kf`: filter a log, then score it; releases Python's lock.
 
-Kernels only. Errors as `indirect_kernel.root_mean_square`; the likelihood is Gaussian. SI units and radians.
+Kernels only. Root mean square errors against truth; the likelihood is Gaussian. SI units and radians.
 """
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ import numpy as np
 from numba import njit
 
 from estimators.error_model import N_STATES
-from estimators.indirect_kernel import MEASUREMENTS, filter_log, root_mean_square
+from estimators.indirect_kernel import MEASUREMENTS, filter_log
+from testbed import earth
+from testbed.rotations import quat_to_euler, wrap
 
 
 @njit(cache=True, nogil=True)
@@ -96,3 +98,20 @@ def mean_deviance(innovation, covariance, used):
             total += 2.0 * np.log(factor[i, i]) + solved[i] * solved[i]
         count += 1
     return total / count if count > 0 else np.inf
+
+
+@njit(cache=True)
+def root_mean_square(lla, velocity, quaternion, truth):
+    """(9,) RMSE against ``truth`` (K,9), lat, lon, h, v_n, roll, pitch, yaw: m N, E, D; m/s; rad."""
+    total = np.zeros(9)
+    for k in range(truth.shape[0]):
+        row = truth[k]
+        north, east, down = earth.position_difference(lla[k, 0], lla[k, 1], lla[k, 2], row[0], row[1], row[2])
+        euler = quat_to_euler(quaternion[k])
+        total[0] += north * north
+        total[1] += east * east
+        total[2] += down * down
+        for i in range(3):
+            total[3 + i] += (velocity[k, i] - row[3 + i]) ** 2
+            total[6 + i] += wrap(euler[i] - row[6 + i]) ** 2
+    return np.sqrt(total / truth.shape[0])

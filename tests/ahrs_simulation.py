@@ -31,7 +31,9 @@ def simulate(seed: int, duration_s: float = 60.0, still: bool = False, noise: fl
     dt, n = 1.0 / RATE_HZ, round(duration_s * RATE_HZ)
     gyro_spec = TriadSpec(white_noise=np.radians(0.05), rate_random_walk=np.radians(2.5e-4), correlation_time_s=1e9)
     imu_spec = ImuSpec("simulated", RATE_HZ, gyro_spec, TriadSpec(white_noise=5e-4))
-    mag_spec = MagSpec("simulated", RATE_HZ, noise_sigma=0.05, declination=float(np.arctan2(FIELD_N[1], FIELD_N[0])), field_n=FIELD_N)
+    mag_spec = MagSpec(
+        "simulated", RATE_HZ, noise_sigma=0.05, declination=float(np.arctan2(FIELD_N[1], FIELD_N[0])), field_n=FIELD_N
+    )
     estimator = AhrsKf(
         linear_accel_mps2=1.0,
         linear_accel_time_s=2.0,
@@ -42,12 +44,18 @@ def simulate(seed: int, duration_s: float = 60.0, still: bool = False, noise: fl
         accel_noise_scale=1.0,
         mag_noise_scale=1.0,
     )
-    std = np.concatenate([np.full(6, 1e-3), np.radians([1.0, 1.0, 3.0]), np.full(3, 1e-6), np.full(3, np.radians(0.02))])
+    std = np.concatenate(
+        [np.full(6, 1e-3), np.radians([1.0, 1.0, 3.0]), np.full(3, 1e-6), np.full(3, np.radians(0.02))]
+    )
     q, bias = np.array([1.0, 0.0, 0.0, 0.0]), std[12] * noise * rng.standard_normal(3)
     start = quat_multiply(rotvec_to_quat(std[6:9] * noise * rng.standard_normal(3)), q)
     initial = InitialState(0.0, LATITUDE, 0.9, HEIGHT, np.zeros(3), np.array(start), np.zeros(3), np.zeros(3), std)
     t = np.arange(1, n + 1) * dt
-    empty = SensorLog(ImuSamples(t, np.zeros((n, 3)), np.zeros((n, 3)), imu_spec), initial, mag=MagSamples(t, np.zeros((n, 3)), mag_spec))
+    empty = SensorLog(
+        ImuSamples(t, np.zeros((n, 3)), np.zeros((n, 3)), imu_spec),
+        initial,
+        mag=MagSamples(t, np.zeros((n, 3)), mag_spec),
+    )
     model = estimator.model(empty)
     accel, disturbance = noise * rng.standard_normal(3), 0.5 * noise * rng.standard_normal(3)
     gyro, force, field, truth = (np.empty((n, w)) for w in (3, 3, 3, 4))

@@ -80,6 +80,7 @@ def test_consistent_where_accelerations_and_disturbances_are_as_modelled():
 
 def test_the_disturbances_are_worth_modelling():
     """Against accelerations of 1 m/s², a filter that takes them for white noise of the sensor is worse."""
+
     def error(estimator, log, truth):
         return np.sqrt(np.mean(body_errors(estimator.run(log).q_nb[1000:], truth[1000:]) ** 2))
 
@@ -133,7 +134,9 @@ def test_a_peer_holds_the_attitude_of_a_swinging_body(name):
 
     log, truth, _ = simulate(0, 30.0, noise=0.0)
     solution = getattr(ahrs_peers, name)().run(log)
-    assert np.degrees(np.abs(attitude_errors(solution.q_nb, truth))).max() < 2.0  # a wrong frame or sign costs tens of degrees, the declination 4
+    assert (
+        np.degrees(np.abs(attitude_errors(solution.q_nb, truth))).max() < 2.0
+    )  # a wrong frame or sign costs tens of degrees, the declination 4
 
 
 @pytest.fixture(scope="module")

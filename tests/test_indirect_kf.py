@@ -10,7 +10,7 @@ from analytic_flight import analytic_flight
 from scipy.stats import chi2
 
 from estimators import error_model, kalman, strapdown
-from estimators.indirect_kf import MEMORY, SCALES, IndirectKf, noise_model, search_errors
+from estimators.indirect_kf import MEMORY, SCALES, IndirectKf, noise_model
 from estimators.ins import Ins
 from estimators.update_ins import UpdateIns, outage_rows
 from testbed import earth
@@ -302,18 +302,15 @@ def test_search_agrees_with_single_runs():
     log, *_ = draw_log(7)
     log = replace(log, gnss=replace(log.gnss, spec=replace(GNSS)))
     tuned = IndirectKf(gyro_noise_scale=3.0, velocity_std_scale=0.5)
-    plain = IndirectKf()
-    q = np.array([f.process_std(log) for f in (plain, tuned)])
-    r = np.array([f.measurement_std(log)[0] for f in (plain, tuned)])
-    found = search_errors(log, flight(), q, r, stride=10)
+    score = IndirectKf.searcher(log, flight(), stride=10)
     rows = np.arange(9, len(log.imu.t), 10)
-    for f, rmse in zip((plain, tuned), found, strict=True):
-        s = f.run(log)
+    for f in (IndirectKf(), tuned):
+        s, (rmse, _) = f.run(log), score(f)
         down = flight().h[rows + 1] - s.h[rows]
         assert rmse[2] == pytest.approx(np.sqrt(np.mean(down**2)), rel=1e-9)
         yaw = (quats_to_eulers(s.q_nb) - quats_to_eulers(flight().q_nb[1:]))[rows, 2]
         yaw = np.mod(yaw + np.pi, 2.0 * np.pi) - np.pi
-        assert rmse[8] == pytest.approx(np.sqrt(np.mean(yaw**2)), rel=1e-9)
+        assert rmse[8] == pytest.approx(np.degrees(np.sqrt(np.mean(yaw**2))), rel=1e-9)
 
 
 def test_explicit_noise_equals_the_specification_when_it_says_the_same():
@@ -345,9 +342,6 @@ def test_recording_of_others():
     from testbed.formats.navego import load
 
     recording = load(NAVEGO, start="reference")
-    q = IndirectKf().process_std(recording.log)[None]
-    r = IndirectKf().measurement_std(recording.log)[:1]
-    rmse = search_errors(recording.log, recording.reference, q, r, stride=1)[0]
-    rmse[6:] = np.degrees(rmse[6:])
+    rmse, _ = IndirectKf.searcher(recording.log, recording.reference, stride=1)(IndirectKf())
     peer = np.array([0.333, 0.406, 0.515, 0.022, 0.021, 0.013, 0.211, 0.212, 0.925])
     assert (rmse < 1.05 * peer).all(), rmse

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 WIDTH = 6.3  # inches: the text width of an A4 page
 POINTS = 700  # per line: about one per pixel of the printed width
 MOST_EXTRAS = 3
+FAR = 1e-2  # of the expected value: so far below it, a filter's covariance says nothing
 MOST_LINES = 8  # colours that a reader can tell apart
 DASHES = ["-", "--", ":", "-.", (0, (6, 1.5)), (0, (4, 1, 1, 1, 1, 1))]
 STYLE: Any = {
@@ -205,7 +206,9 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str]) -> Figure:
     ax.axvline(1.0, color="black", lw=0.6)
     ax.set_yticks(range(len(quantities)), [quantity_label(q) for q in quantities])
     ax.set(xlabel="mean divided by its expected value (1 = consistent)", xscale="log")
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    low, high = max(ax.get_xlim()[0], FAR), min(ax.get_xlim()[1], 1.0 / FAR**2)
+    ax.set_xlim(low, high)
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,)))
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_formatter("")
     ax.invert_yaxis()
@@ -278,16 +281,7 @@ def build(result: Result) -> dict[str, tuple[Figure, str]]:
         drawn["envelope"] = envelopes(table, GROUPS[group], spans, phases), caption
     if len(table := result.consistency.dropna(subset=["mean"])):
         drawn["consistency"] = consistency(table, lines), "NEES and NIS relative to their expected value."
-    for label in innovations.chosen(result, lead.winner):
-        if channels := innovations.analyse(result.innovations[label], result.channels(label), spans):
-            colour = result.estimators.index(label) if label in result.estimators else 0
-            caption = (
-                f"Innovations of {label}, run 0: ±2√S, histogram with the normal curve, autocorrelation with its bound."
-            )
-            drawn[f"innovations_{result.info['estimators'][label]}"] = (
-                innovations.figure(channels, label, colour, spans),
-                caption,
-            )
+    drawn |= innovations.figures(result, lead.winner)
     for label, frame in list(result.extras.items())[:MOST_EXTRAS]:
         slug = result.info["estimators"][label]
         drawn[f"extras_{slug}"] = (

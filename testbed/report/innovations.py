@@ -172,6 +172,20 @@ def chosen(result: Result, winner: str) -> list[str]:
     return [label for label in dict.fromkeys((proposed, winner)) if label in result.innovations]
 
 
+def figures(result: Result, winner: str) -> dict[str, tuple[Figure, str]]:
+    """File name -> (figure, caption) of the filters worth one."""
+    found = {}
+    for label in chosen(result, winner):
+        if channels := analyse(result.innovations[label], result.channels(label), result.outages):
+            colour = result.estimators.index(label) if label in result.estimators else 0
+            caption = (
+                f"Innovations of {label}, run 0: ±2√S, histogram with the normal curve, autocorrelation with its bound."
+            )
+            name = f"innovations_{result.info['estimators'][label]}"
+            found[name] = figure(channels, label, colour, result.outages), caption
+    return found
+
+
 def figure(channels: Sequence[Channel], label: str, colour: int, outages: Spans = ()) -> Figure:
     """A row per channel: innovations in their ±2√S band, histogram over √S with the normal curve, autocorrelation."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

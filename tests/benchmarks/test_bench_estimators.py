@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from estimators.indirect_kf import IndirectKf, search_errors
+from estimators.indirect_kf import IndirectKf
 from estimators.ins import Ins
 from testbed.records import GnssFixes, ImuSamples, InitialState, NavSolution, SensorLog, Trajectory
 from testbed.rotations import euler_to_quat
@@ -62,13 +62,11 @@ def test_bench_indirect_kf(benchmark, log):
 
 
 def test_bench_filter_search(benchmark, log):
-    """Eight candidates in parallel: cost per candidate and sample."""
+    """One candidate of a search, scored against a reference."""
     s: NavSolution = IndirectKf().run(log)
     truth = Trajectory(s.t, s.lat, s.lon, s.h, s.v_n, s.q_nb, log.imu.accel, log.imu.gyro)
-    q = np.tile(IndirectKf().process_std(log), (8, 1))
-    r = np.tile(IndirectKf().measurement_std(log)[0], (8, 1))
-    benchmark(search_errors, log, truth, q, r)
-    per_sample(benchmark, 8 * SAMPLES)
+    benchmark(IndirectKf.searcher(log, truth), IndirectKf())
+    per_sample(benchmark)
 
 
 def test_bench_python_ins(benchmark, log):
