@@ -40,10 +40,10 @@ class Settings:
     neurons: int = 200
     activation: str = "sigmoid"
     epochs: int = 3
-    batch: int = 64
-    interleave: int = 3
+    batch: int = 55
+    interleave: int = 2
     """Batches that take turns, a chunk each, so that one update after another sees other windows."""
-    window_s: float = 150.0
+    window_s: float = 300.0
     chunk: int = 50
     """Samples through which the gradient runs back."""
     optimiser: str = "adam"
@@ -52,7 +52,7 @@ class Settings:
     final_rate: float = 0.1
     """The rate falls to this part of itself over the training, along a cosine."""
     loss: str = "teacher"
-    teacher_floor_mps2: float = 0.5
+    teacher_floor_mps2: float = 1.5
     """The teacher's sigma of linear acceleration where there is none; found on training flights, as is the next."""
     teacher_factor: float = 5.0
     """The teacher's sigma of linear acceleration over the true one (its mean over a second)."""
@@ -273,11 +273,11 @@ class _Training:
 
         return largest(gains), largest(corrections)
 
-    def _distance(self, gain: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
-        """Mean square of a difference of gains, by the corrections that it makes and, less, by its elements."""
-        by_correction = (torch.einsum("bci,bc->bi", gain, z) / self.correction_scale) ** 2
-        by_element = (gain / self.network.scale.view(6, 12)) ** 2
-        return by_correction[:, :6].mean() + 0.1 * by_element.mean()
+    def _distance(self, difference: torch.Tensor, apart: torch.Tensor) -> torch.Tensor:
+        """How far a gain is from the teacher's: by attitude and bias ``apart`` (B,6), which the differing corrections of
+        the chunk so far add up to (what does not average out counts), and, less, by its elements."""
+        by_element = (difference / self.network.scale.view(6, 12)) ** 2
+        return 0.1 * ((apart / self.correction_scale[:6]) ** 2).mean() + 0.1 * by_element.mean()
 
     def run(self, resume: bool) -> Path:
         """All epochs that are still to do."""
@@ -346,7 +346,7 @@ class _Training:
         b.c_nb = _orthonormal(b.c_nb)
         memory = [(h.detach(), c.detach()) for h, c in state[0]]
         errors, teacher = (state[1][0].detach(), state[1][1].detach()), state[2]
-        tilts, losses = [], []
+        tilts, losses, apart = [], [], b.bias.new_zeros(len(b.bias), 6)
         for n in range(start, start + self.settings.chunk):
             z, k, turn = self.filter.before(b, n)
             change, memory = self.network(self.filter.inputs(z, k, b.bias, b.disturbance), memory)
@@ -357,7 +357,12 @@ class _Training:
                 loss = self.budget.cost(errors, seen, self.settings.yaw_weight, self.settings.horizon_s)[1] * DEGREES**2
             else:
                 wanted, teacher = self.filter.gain(teacher, turn, self.filter.seen(b, b.c_nb), b.accel_sigma[:, n])
-                loss = self._distance(k + change - wanted, z)
+                difference = k + change - wanted
+                x = torch.einsum("bci,bc->bi", difference, z)
+                apart = torch.cat(
+                    [torch.einsum("bij,bi->bj", turn, apart[:, :3]) + x[:, :3], apart[:, 3:] + x[:, 3:6]], 1
+                )
+                loss = self._distance(difference, apart)
             self.filter.after(b, z, k + change)
             tilts.append(((b.c_nb - b.truth[:, n + 1])[:, 2] ** 2).sum(1).mean())
             losses.append(loss)

@@ -206,7 +206,7 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str]) -> Figure:
     ax.axvline(1.0, color="black", lw=0.6)
     ax.set_yticks(range(len(quantities)), [quantity_label(q) for q in quantities])
     ax.set(xlabel="mean divided by its expected value (1 = consistent)", xscale="log")
-    low, high = max(ax.get_xlim()[0], FAR), min(ax.get_xlim()[1], 1.0 / FAR**2)
+    low, high = max(ax.get_xlim()[0], FAR), ax.get_xlim()[1]
     ax.set_xlim(low, high)
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,)))
     ax.xaxis.set_major_formatter("{x:g}")
