@@ -10,8 +10,9 @@ with a standard deviation that says that they are not estimated (`UNKNOWN_STD`).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +82,7 @@ class AhrsKf:
 
         return self.solve(log, lambda arguments: filter_log(*arguments))
 
-    def solve(self, log: SensorLog, loop) -> NavSolution:  # type: ignore[no-untyped-def]
+    def solve(self, log: SensorLog, loop: Callable[[tuple[Any, ...]], None]) -> NavSolution:
         """The answer of a compiled ``loop`` that takes the arguments of `ahrs_kernels.filter_log`."""
         n, t = len(log.imu.t), log.imu.t
         state, p = self.start(log)

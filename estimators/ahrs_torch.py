@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from estimators.ahrs_lstm_kernels import CLIP, INPUTS
@@ -75,7 +76,7 @@ class Batch:
 class BatchFilter:
     """The filter on a batch: `step` is `ahrs_kernels.filter_log`'s loop body. ``model`` are the figures of its MODEL."""
 
-    def __init__(self, model: Sequence[float], device: torch.device, dtype: torch.dtype) -> None:
+    def __init__(self, model: Sequence[float] | NDArray[np.float64], device: torch.device, dtype: torch.dtype) -> None:
         self.dt, (_, fa, fd) = float(model[9]), [float(v) for v in model[6:9]]
         as_tensor = lambda values: torch.as_tensor(np.asarray(values), device=device, dtype=dtype)  # noqa: E731
         decay = np.repeat([1.0, float(model[6]), fa, fd], 3)
@@ -166,7 +167,11 @@ class ErrorBudget:
     """
 
     def __init__(
-        self, filter_: BatchFilter, model: Sequence[float], rate_walk: float, markov: tuple[float, float]
+        self,
+        filter_: BatchFilter,
+        model: Sequence[float] | NDArray[np.float64],
+        rate_walk: float,
+        markov: tuple[float, float],
     ) -> None:
         """``rate_walk`` in (rad/s)/√s; ``markov``: sigma (rad/s) and correlation time (s); ``model``: of `MODEL`."""
         self.filter = filter_

@@ -35,6 +35,7 @@ PREFIXES = {"gyro": 3, "accel": 3, "mag": 3, "q_nb": 4}
 """Column groups of a shard and their widths, after ``time_s``."""
 
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+"""Low and high."""
 
 
 class DatasetConfig(Table):
@@ -97,7 +98,7 @@ def dataset_key(scenario: Scenario) -> str:
     import hashlib
 
     data = scenario.to_data()
-    parts = {key: data.get(key) for key in ("flight", "sensors", "initial")}
+    parts = {key: data.get(key, {}) for key in ("flight", "sensors", "initial")}
     parts["flight"] = {key: parts["flight"].get(key) for key in ("aircraft", "rate_hz", "initial")}
     settings = dataset_config(scenario).model_dump(mode="json")
     parts["dataset"] = {key: value for key, value in settings.items() if key not in ("flights", "validation")}
@@ -110,15 +111,15 @@ def draw_flight(scenario: Scenario, config: DatasetConfig, rng: np.random.Genera
         raise InputError(f"{scenario.source_path}: a data set needs a scenario with [flight]")
     direction, strength = rng.uniform(0.0, 2.0 * math.pi), config.wind_mps * math.sqrt(rng.uniform())
     initial = scenario.flight.initial.model_dump() | {
-        "alt_m": float(rng.uniform(*config.alt_m)),
-        "speed_mps": float(rng.uniform(*config.speed_mps)),
+        "alt_m": _between(rng, config.alt_m),
+        "speed_mps": _between(rng, config.speed_mps),
         "heading_deg": float(rng.uniform(-180.0, 180.0)),
     }
     data = {
         "aircraft": scenario.flight.aircraft,
         "rate_hz": scenario.flight.rate_hz,
         "duration_s": config.duration_s,
-        "payload_kg": float(rng.uniform(*config.payload_kg)),
+        "payload_kg": _between(rng, config.payload_kg),
         "initial": initial,
         "wind": {
             "north_mps": strength * math.cos(direction),
@@ -148,25 +149,29 @@ def _draw_manoeuvre(config: DatasetConfig, alt_m: float, rng: np.random.Generato
     """A manoeuvre and about how long it takes, s."""
     kinds = ("straight", "accelerate", "turn", "loiter", "s_turn", "figure_eight", "climb", "descent")
     kind = str(rng.choice(kinds, p=(0.2, 0.1, 0.2, 0.2, 0.1, 0.06, 0.07, 0.07)))
-    bank = float(rng.uniform(*config.bank_deg)) * float(rng.choice((-1.0, 1.0)))
+    bank = _between(rng, config.bank_deg) * float(rng.choice((-1.0, 1.0)))
     seconds = float(rng.uniform(20.0, 120.0))
     if kind == "straight":
         return {"type": kind, "duration_s": seconds}, seconds
     if kind == "accelerate":
-        return {"type": kind, "to_speed_mps": float(rng.uniform(*config.speed_mps))}, 0.5 * seconds
+        return {"type": kind, "to_speed_mps": _between(rng, config.speed_mps)}, 0.5 * seconds
     if kind == "turn":
         climbing = {"climb_rate_mps": float(rng.uniform(-1.0, 1.0))} if rng.uniform() < 0.3 else {}
         return {"type": kind, "bank_deg": bank, "duration_s": seconds} | climbing, seconds
     if kind == "loiter":
-        radius, side = float(rng.uniform(*config.radius_m)), str(rng.choice(("left", "right")))
+        radius, side = _between(rng, config.radius_m), str(rng.choice(("left", "right")))
         return {"type": kind, "radius_m": radius, "direction": side, "duration_s": 3.0 * seconds}, 3.0 * seconds
     if kind == "s_turn":
         change = float(rng.uniform(30.0, 150.0))
         return {"type": kind, "bank_deg": bank, "heading_change_deg": change, "duration_s": seconds}, seconds
     if kind == "figure_eight":
         return {"type": kind, "bank_deg": bank, "duration_s": seconds}, seconds
-    rate = float(rng.uniform(*config.climb_rate_mps))
+    rate = _between(rng, config.climb_rate_mps)
     return {"type": kind, "climb_rate_mps": rate, "duration_s": 0.5 * seconds}, 0.5 * seconds
+
+
+def _between(rng: np.random.Generator, interval: Sequence[float]) -> float:
+    return float(rng.uniform(interval[0], interval[1]))
 
 
 def fly_drawn(scenario: Scenario, config: DatasetConfig, k: int) -> tuple[Trajectory, FlightConfig, int]:
@@ -272,9 +277,11 @@ class Shard:
 
         known, data = self.meta["log"], self.window(0, self.rows)
         t = self._file.read(columns=["time_s"]).column("time_s").to_numpy()
-        initial = {k: np.array(v) if isinstance(v, list) else v for k, v in known["initial"].items()}
-        imu = ImuSamples(t, data["gyro"], data["accel"], specs.from_dict(ImuSpec, known["imu"]))
-        mag = MagSamples(t, data["mag"], specs.from_dict(MagSpec, known["mag"]))
+        initial: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v for k, v in known["initial"].items()}
+        imu = ImuSamples(
+            t, data["gyro"].astype(float), data["accel"].astype(float), specs.from_dict(ImuSpec, known["imu"])
+        )
+        mag = MagSamples(t, data["mag"].astype(float), specs.from_dict(MagSpec, known["mag"]))
         return SensorLog(imu, InitialState(**initial), mag=mag, name=self.path.stem)
 
 

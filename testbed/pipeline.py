@@ -52,12 +52,7 @@ def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig, int]:
         data = config.model_dump(mode="json", exclude_none=True)
         for key, distribution in settings.disperse.items():
             rng = stream(settings.seed, run, f"flight.{key}")
-            draw = (
-                rng.normal(*distribution.normal)
-                if distribution.normal
-                else rng.uniform(*(distribution.uniform or (0.0, 0.0)))
-            )
-            set_key(data, key, float(draw), f"{scenario.source_path}: monte_carlo.disperse")
+            set_key(data, key, distribution.draw(rng), f"{scenario.source_path}: monte_carlo.disperse")
         config = validate(FlightConfig, data, f"{scenario.source_path}: flight of run {run}")
     seed = settings.seed + run if "turbulence" in settings.vary else settings.seed
     return config, seed

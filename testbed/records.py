@@ -244,14 +244,17 @@ class SensorLog:
         """Read the folder that `save` wrote. Raises InputError when it is none."""
         folder = Path(path)
         frame, meta = _read(folder / "imu.parquet", "SensorLog.imu")
-        initial = {k: np.array(v) if isinstance(v, list) else v for k, v in meta["initial"].items()}
+        initial: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v for k, v in meta["initial"].items()}
         gyro, accel = _stack(frame, "gyro_{}_radps", "xyz"), _stack(frame, "accel_{}_mps2", "xyz")
         imu = ImuSamples(frame["time_s"].to_numpy(), gyro, accel, specs.from_dict(ImuSpec, meta["spec"]))
         gnss, mag, baro = None, None, None
         if (folder / "gnss.parquet").exists():
             frame, other = _read(folder / "gnss.parquet", "SensorLog.gnss")
             gnss = GnssFixes(
-                *(frame[c].to_numpy() for c in ("time_s", "lat_rad", "lon_rad", "alt_m")),
+                t=frame["time_s"].to_numpy(),
+                lat=frame["lat_rad"].to_numpy(),
+                lon=frame["lon_rad"].to_numpy(),
+                h=frame["alt_m"].to_numpy(),
                 v_n=_stack(frame, "v_{}_mps", ("north", "east", "down")),
                 spec=specs.from_dict(GnssSpec, other["spec"]),
                 outages=tuple((a, b) for a, b in other["outages"]),
@@ -406,7 +409,7 @@ def _pva_columns(t: Array, lat: Array, lon: Array, h: Array, v_n: Array, q_nb: A
     return place | velocity | _columns("{}_deg", ("roll", "pitch", "yaw"), euler)
 
 
-def _read_pva(frame: pd.DataFrame) -> dict[str, Array]:
+def _read_pva(frame: pd.DataFrame) -> dict[str, Any]:
     def angle(name: str) -> Array:
         exact = f"{name}_rad"
         return frame[exact].to_numpy() if exact in frame else np.radians(frame[f"{name}_deg"].to_numpy())

@@ -101,8 +101,8 @@ def load_plugin(path: str | Path) -> list[str]:
         spec.loader.exec_module(module)
     except Exception as error:
         raise InputError(f"{path}: the plug-in does not import: {type(error).__name__}: {error}") from error
-    found = {
-        kind.name: kind
+    found: dict[str, type] = {
+        kind.name: kind  # type: ignore[attr-defined]
         for kind in vars(module).values()
         if inspect.isclass(kind)
         and isinstance(getattr(kind, "name", None), str)

@@ -11,7 +11,7 @@ import json
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
@@ -21,6 +21,9 @@ from testbed.flight.config import FlightConfig
 from testbed.formats.config import RecordingConfig
 from testbed.schema import Table, read_toml, validate
 from testbed.sensors.config import InitialConfig, SensorsConfig
+
+if TYPE_CHECKING:
+    import numpy as np
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -60,6 +63,13 @@ class Distribution(Table):
         if (self.normal is None) == (self.uniform is None):
             raise ValueError("give either normal = [mean, sigma] or uniform = [low, high]")
         return self
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """One value."""
+        if self.normal is not None:
+            return float(rng.normal(self.normal[0], self.normal[1]))
+        assert self.uniform is not None
+        return float(rng.uniform(self.uniform[0], self.uniform[1]))
 
 
 class MonteCarloConfig(Table):

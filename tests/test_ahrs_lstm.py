@@ -56,7 +56,7 @@ def test_untrained_it_is_the_kalman_filter(flights):
 def test_the_torch_filter_is_the_compiled_filter(flights):
     """In float64 the two differ by round-off of a thousand steps alone."""
     from estimators.ahrs_torch import BatchFilter
-    from estimators.ahrs_training import make_batch, prepare_flight
+    from estimators.ahrs_windows import make_batch, prepare_flight
     from testbed.rotations import quats_to_matrices
 
     kf, cpu = AhrsKf(), torch.device("cpu")
@@ -96,35 +96,35 @@ def test_the_compiled_network_is_the_torch_network(layers, activation):
 
 
 def test_the_error_budget_is_what_many_flights_show():
-    """Sixty logs with one motion: the mean square attitude error of the Kalman gain is the budget's expectation.
+    """Two dozen logs with one motion: the mean square attitude error of the Kalman gain is the budget's expectation.
 
-    Each log's accelerations differ, so the budget's mean is averaged too. 60 logs with 3 axes of which errors about one
-    dominate: the sampling error of a mean square is sqrt(2/60) = 18 %; three of these are allowed.
+    Each log's accelerations differ, so the budget's mean is averaged too. Errors about one axis dominate: the
+    sampling error of a mean square of 24 is sqrt(2/24) = 29 %; two of these are allowed.
     """
     from estimators.ahrs_torch import BatchFilter, ErrorBudget
-    from estimators.ahrs_training import make_batch, prepare_flight
+    from estimators.ahrs_windows import make_batch, prepare_flight
 
-    flights = [Flight(seed, 12.0) for seed in range(60)]
+    flights = [Flight(seed, 8.0) for seed in range(24)]
     kf, cpu = flights[0].simulated.estimator, torch.device("cpu")
     prepared = [prepare_flight(flight, kf, 20) for flight in flights]
-    batch = make_batch([(p, 20) for p in prepared], 500, cpu, torch.float64)
+    batch = make_batch([(p, 20) for p in prepared], 300, cpu, torch.float64)
     filter_ = BatchFilter(prepared[0].model, cpu, torch.float64)
     budget = ErrorBudget(filter_, prepared[0].model, np.radians(2.5e-4), (1e-12, 100.0))
     errors = budget.start(batch)
-    for n in range(500):
+    for n in range(300):
         z, k, turn = filter_.before(batch, n)
         filter_.after(batch, z, k)
         seen = filter_.seen(batch, batch.truth[:, n + 1])
         errors = budget.step(errors, turn, seen, torch.cat([-batch.accel[:, n], batch.mag[:, n]], 1) - seen, k)
     tilt, _ = budget.cost(errors, seen, 0.0, 0.0)
     actual = ((batch.c_nb - batch.truth[:, -1])[:, 2] ** 2).sum(1).mean()
-    assert float(actual) == pytest.approx(float(tilt), rel=0.55)
+    assert float(actual) == pytest.approx(float(tilt), rel=0.58)
 
 
 def test_the_gradient_of_the_budget_is_that_of_finite_differences(flights):
     """Of the expected error after eight samples, by every layer's weights, with the inputs of the network as given."""
     from estimators.ahrs_torch import BatchFilter, ErrorBudget, GainNetwork
-    from estimators.ahrs_training import make_batch, normalisation, prepare_flight
+    from estimators.ahrs_windows import make_batch, normalisation, prepare_flight
 
     cpu, kf = torch.device("cpu"), AhrsKf()
     prepared = [prepare_flight(flight, kf, 20) for flight in flights[:2]]
@@ -164,10 +164,10 @@ def test_the_gradient_of_the_budget_is_that_of_finite_differences(flights):
 def test_training_lowers_the_error_and_stores_it(flights, tmp_path):
     """The filter expects far larger field noise than there is: higher gains are better, and there is much to learn."""
     said, wrong = [], {"mag_noise_scale": 300.0, "linear_accel_mps2": 60.0}
-    path = trained(flights, tmp_path, epochs=6, learning_rate=1e-2, tell=said.append, filter_params=wrong)
+    path = trained(flights, tmp_path, epochs=4, learning_rate=1e-2, tell=said.append, filter_params=wrong)
     curve = (tmp_path / "learning-curve.csv").read_text().splitlines()
     errors = [float(line.split(",")[2]) for line in curve[1:]]
-    assert len(errors) == 7 and min(errors[1:]) < 0.9 * errors[0]
+    assert len(errors) == 5 and min(errors[1:]) < 0.9 * errors[0]
     log = flights[2].log()
     assert not np.array_equal(AhrsLstm(weights=str(path)).run(log).q_nb, AhrsKf(**wrong).run(log).q_nb)
     stored = load_weights(str(path))
