@@ -30,6 +30,8 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
+	@echo "compiling the kernels (once per installation)"
+	$(BIN)/testbed run quickstart --profile smoke --jobs 1 --no-report --out $(VENV)/first-run > /dev/null
 	touch $(STAMP)
 
 clean:

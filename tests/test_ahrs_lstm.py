@@ -96,18 +96,18 @@ def test_the_compiled_network_is_the_torch_network(layers, activation):
 
 
 def test_the_error_budget_is_what_many_flights_show():
-    """Two dozen logs with one motion: the mean square attitude error of the Kalman gain is the budget's expectation.
+    """Forty logs with one motion: the mean square attitude error of the Kalman gain is the budget's expectation.
 
     Each log's accelerations differ, so the budget's mean is averaged too. Errors about one axis dominate: the
-    sampling error of a mean square of 24 is sqrt(2/24) = 29 %; two of these are allowed.
+    sampling error of a mean square of 40 is sqrt(2/40) = 22 %; three of these are allowed.
     """
     from estimators.ahrs_torch import BatchFilter, ErrorBudget
     from estimators.ahrs_windows import make_batch, prepare_flight
 
-    flights = [Flight(seed, 8.0) for seed in range(24)]
+    flights = [Flight(seed, 10.1) for seed in range(40)]
     kf, cpu = flights[0].simulated.estimator, torch.device("cpu")
     prepared = [prepare_flight(flight, kf, 20) for flight in flights]
-    batch = make_batch([(p, 20) for p in prepared], 300, cpu, torch.float64)
+    batch = make_batch([(p, 200) for p in prepared], 300, cpu, torch.float64)
     filter_ = BatchFilter(prepared[0].model, cpu, torch.float64)
     budget = ErrorBudget(filter_, prepared[0].model, np.radians(2.5e-4), (1e-12, 100.0))
     errors = budget.start(batch)
@@ -118,7 +118,7 @@ def test_the_error_budget_is_what_many_flights_show():
         errors = budget.step(errors, turn, seen, torch.cat([-batch.accel[:, n], batch.mag[:, n]], 1) - seen, k)
     tilt, _ = budget.cost(errors, seen, 0.0, 0.0)
     actual = ((batch.c_nb - batch.truth[:, -1])[:, 2] ** 2).sum(1).mean()
-    assert float(actual) == pytest.approx(float(tilt), rel=0.58)
+    assert float(actual) == pytest.approx(float(tilt), rel=0.67)
 
 
 def test_the_gradient_of_the_budget_is_that_of_finite_differences(flights):

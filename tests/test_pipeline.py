@@ -1,0 +1,87 @@
+"""What varies from run to run is what the scenario says, and nothing else."""
+
+import numpy as np
+import pytest
+
+from testbed import pipeline
+from testbed.errors import InputError
+from testbed.scenario import load_scenario
+
+TEXT = """
+[scenario]
+name = "varied"
+[flight]
+aircraft = "aerosonde"
+initial = { speed_mps = 30.0 }
+wind = { turbulence = "moderate" }
+manoeuvres = [{ type = "straight", duration_s = 3.0 }, { type = "turn", bank_deg = 20.0, duration_s = 5.0 }]
+[sensors.imu]
+model = "ADIS16448"
+disable = ["quantisation", "misalignment", "nonlinearity", "g_sensitivity"]
+[sensors.gnss]
+model = "Garmin16x"
+random_outages = { count = 1, duration_s = 1.0, after_s = 1.0, gap_s = 0.5 }
+[initial]
+position_m = 3.0
+roll_pitch_deg = 1.0
+[[estimators]]
+name = "ins"
+[monte_carlo]
+vary = VARY
+disperse = { "manoeuvres.1.bank_deg" = { uniform = [10.0, 40.0] } }
+"""
+
+
+@pytest.fixture
+def varied(tmp_path):
+    def _varied(*groups: str):
+        path = tmp_path / "varied.toml"
+        path.write_text(TEXT.replace("VARY", str(list(groups))))
+        return load_scenario(path)
+
+    return _varied
+
+
+def drawn(scenario, run):
+    """White noise, turn-on bias, initial error and outage of a run on the flight of run 0."""
+    trajectory = pipeline.fly(scenario)
+    log, errors = pipeline.sense(scenario, trajectory, run=run)
+    return {
+        "noise": tuple((log.imu.gyro[0] - errors.gyro_bias[0]).round(12)),
+        "turn_on": tuple(errors.constants["gyro_turn_on_bias"]),
+        "alignment": log.initial.lat - trajectory.lat[0],
+        "outages": log.gnss.outages,
+    }
+
+
+@pytest.mark.parametrize("group", ["noise", "turn_on", "alignment", "outages"])
+def test_only_the_named_group_varies(varied, group):
+    first, second = (drawn(varied(group), run) for run in (0, 1))
+    for name in first:
+        assert (first[name] != second[name]) == (name == group), name
+
+
+def test_manoeuvres_are_dispersed_within_their_distribution(varied):
+    scenario = varied("manoeuvres")
+    banks = [pipeline.flight_of_run(scenario, run)[0].manoeuvres[1].bank_deg for run in range(200)]
+    assert banks == [pipeline.flight_of_run(scenario, run)[0].manoeuvres[1].bank_deg for run in range(200)]
+    assert 10.0 <= min(banks) < 12.0 and 38.0 < max(banks) <= 40.0
+    # the mean of 200 uniform draws over 30° scatters by 30 / sqrt(12 * 200) = 0.61°
+    assert np.mean(banks) == pytest.approx(25.0, abs=4 * 0.61)
+    assert pipeline.flight_varies(scenario)
+
+
+def test_turbulence_makes_each_run_a_flight_of_its_own(varied):
+    scenario = varied("turbulence")
+    assert pipeline.flight_varies(scenario) and not pipeline.flight_varies(varied("noise"))
+    one, two = (pipeline.fly(scenario, run) for run in (0, 1))
+    assert np.abs(one.v_n - two.v_n).max() > 0.05
+    np.testing.assert_array_equal(one.v_n, pipeline.fly(scenario, 0).v_n)
+
+
+def test_an_impossible_dispersion_names_the_run(varied):
+    scenario = varied("manoeuvres")
+    broken = scenario.monte_carlo.disperse["manoeuvres.1.bank_deg"].model_copy(update={"uniform": [200.0, 300.0]})
+    settings = scenario.monte_carlo.model_copy(update={"disperse": {"manoeuvres.1.bank_deg": broken}})
+    with pytest.raises(InputError, match=r"flight of run 3.*bank_deg"):
+        pipeline.flight_of_run(scenario.model_copy(update={"monte_carlo": settings}), 3)
