@@ -1,7 +1,7 @@
-"""The attitude filter of `ahrs_kernels`, its gain network, and its expected error, on batches that torch differentiates.
+"""The attitude filter of `ahrs_kernels` on batches of windows, and the network that corrects its gain, in torch.
 
-`BatchFilter` is `ahrs_kernels.filter_log` on B windows at once; `GainNetwork` corrects its gain; `ErrorBudget` carries the
-mean square attitude error that a sequence of gains leads to, the loss of `estimators.ahrs_training`. SI units, µT.
+`BatchFilter` is `ahrs_kernels.filter_log` on B windows at once; `GainNetwork` is `ahrs_lstm_kernels.network_step`. SI
+units, µT.
 """
 
 from __future__ import annotations
@@ -154,81 +154,3 @@ class BatchFilter:
         x = torch.einsum("bci,bc->bi", k, z)
         whole = x + torch.cat([torch.zeros_like(bias), bias, disturbance], 1)
         return torch.cat([z, whole, k.flatten(1)], 1)
-
-
-class ErrorBudget:
-    """Mean (B,15) and covariance (B,15,15) of the filter's errors under the gains that it is given.
-
-    The states are, true minus estimate in b: attitude, constant part of the gyro bias, its Gauss-Markov part; then the
-    filter's own linear acceleration and disturbance. They follow the linear error equations with the true
-    accelerations and field errors of the flight as input, so the mean is what these do to the attitude, and the
-    covariance what start errors, gyro noise and bias do: the expectation over them is exact and no noise of theirs is in
-    the gradient.
-    """
-
-    def __init__(
-        self,
-        filter_: BatchFilter,
-        model: Sequence[float] | NDArray[np.float64],
-        rate_walk: float,
-        markov: tuple[float, float],
-    ) -> None:
-        """``rate_walk`` in (rad/s)/√s; ``markov``: sigma (rad/s) and correlation time (s); ``model``: of `MODEL`."""
-        self.filter = filter_
-        dt, keep = filter_.dt, float(np.exp(-filter_.dt / markov[1]))
-        eye = np.eye(3)
-        phi = np.diag(np.repeat([1.0, 1.0, keep, float(model[7]), float(model[8])], 3))
-        phi[:3, 3:6] = phi[:3, 6:9] = -dt * eye
-        h = np.zeros((6, 15))
-        h[:3, 9:12], h[3:, 12:] = eye, -eye
-        spread = np.zeros((12, 15))
-        for row, column, sign in ((0, 0, -1.0), (3, 3, -1.0), (6, 9, 1.0), (9, 12, 1.0)):
-            spread[row : row + 3, column : column + 3] = sign * eye
-        noise = [model[0] * dt**2, rate_walk**2 * dt, markov[0] ** 2 * (1.0 - keep**2), 0.0, 0.0]
-        as_tensor = lambda values: torch.as_tensor(values).to(filter_.eye)  # noqa: E731
-        self.phi, self.h, self.spread, self.q = (as_tensor(v) for v in (phi, h, spread, np.diag(np.repeat(noise, 3))))
-        self.markov_variance = markov[0] ** 2
-        self.carry = torch.abs(self.spread.T) * as_tensor(np.repeat([1.0, 1.0, 1.0, -1.0, -1.0], 3))[:, None]
-        self.mean = self.cov = torch.empty(0)
-
-    def start(self, b: Batch) -> tuple[Tensor, Tensor]:
-        """Errors at the start of the windows: around zero, with the covariance in which the filter itself believes.
-
-        Its acceleration and disturbance states then lie around the true ones, which truth and samples give.
-        """
-        settling = min(b.mag.shape[1], round(1.0 / self.filter.dt))
-        field = torch.einsum("btij,bi->btj", b.truth[:, 1 : settling + 1], b.field_n)
-        disturbance = (b.mag[:, :settling] - field).mean(1)
-        accel = b.accel[:, 0] + b.truth[:, 1, 2, :] * b.gravity[:, None]
-        mean = torch.cat([b.bias.new_zeros(len(b.bias), 9), accel, disturbance], 1)
-        cov = self.carry @ b.p @ self.carry.T
-        cov[:, 6:9, 6:9] += self.markov_variance * self.filter.eye
-        return mean, cov
-
-    def step(
-        self, state: tuple[Tensor, Tensor], turn: Tensor, seen: Tensor, v: Tensor, k: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """One sample: ``seen`` (B,6) at the true attitude, ``v`` (B,6) what the sensors read beyond it, gain ``k``."""
-        mean, cov = state
-        n = len(mean)
-        phi = self.phi.expand(n, 15, 15).clone()
-        phi[:, :3, :3] = turn.transpose(1, 2)
-        h = self.h.expand(n, 6, 15).clone()
-        h[:, :3, :3], h[:, 3:, :3] = self.filter.cross(seen[:, :3]), self.filter.cross(seen[:, 3:])
-        gain = (k @ self.spread).transpose(1, 2)
-        closed = torch.eye(15, device=h.device, dtype=h.dtype) + gain @ h
-        total = closed @ phi
-        mean = (total @ mean[:, :, None] + gain @ v[:, :, None])[:, :, 0]
-        return mean, total @ cov @ total.transpose(1, 2) + closed @ self.q @ closed.transpose(1, 2)
-
-    def cost(
-        self, state: tuple[Tensor, Tensor], seen: Tensor, yaw_weight: float, horizon_s: float
-    ) -> tuple[Tensor, Tensor]:
-        """Expected square tilt (rad²; roll and pitch together), and the loss, means over the batch."""
-        mean, cov = state
-        second = cov[:, :6, :6] + mean[:, :6, None] * mean[:, None, :6]
-        down = seen[:, :3] / seen[:, :3].norm(dim=1, keepdim=True)
-        every = second[:, :3, :3].diagonal(dim1=1, dim2=2).sum(1)
-        tilt = every - torch.einsum("bi,bij,bj->b", down, second[:, :3, :3], down)
-        ahead = second[:, 3:, 3:].diagonal(dim1=1, dim2=2).sum(1) * horizon_s**2
-        return tilt.mean(), (tilt + yaw_weight * every + ahead).mean()

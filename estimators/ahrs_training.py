@@ -1,11 +1,10 @@
 """Training of `ahrs-lstm`: truncated back-propagation in batches of windows, through filters that run (torch).
 
-The filter runs with the corrected gain. Two losses. ``teacher``: the squared distance of that gain from the one of a
-filter that knows the true linear acceleration, axis by axis, and takes it for its sigma; the network knows it not and must
-tell it from its 90 inputs. ``budget``: the expected square of the attitude error after each corrected update
-(`ahrs_torch.ErrorBudget`), tilt above all. The error of the filter's own attitude, tried first, did not teach: it is so
-persistent that its chance correlation with the accelerations drowns the gradient.
-SI units, µT. Flights are objects like `testbed.dataset.Shard`: ``rows``, ``window(start, rows)``, ``log()``.
+The filter runs with the corrected gain. The loss compares its corrections with those of a teacher: the same filter told
+the true linear acceleration, which it takes, axis by axis, for its sigma. The network is not told; it must see from its
+90 inputs which axis to believe. What counts is the attitude and bias by which the corrections of a chunk differ in all.
+Losses on the attitude error itself were tried first and did not teach: that error is so persistent that its chance
+correlation with the accelerations drowns the gradient. SI units, µT. Flights are objects like `testbed.dataset.Shard`.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from torch import nn
 
 from estimators.ahrs_kf import AhrsKf
 from estimators.ahrs_lstm import ACTIVATIONS, assemble
-from estimators.ahrs_torch import Batch, BatchFilter, ErrorBudget, GainNetwork
+from estimators.ahrs_torch import Batch, BatchFilter, GainNetwork
 from estimators.ahrs_windows import Prepared, make_batch, normalisation, prepare_flight
 from testbed.errors import InputError
 
@@ -52,16 +51,10 @@ class Settings:
     learning_rate: float = 2e-3
     final_rate: float = 0.1
     """The rate falls to this part of itself over the training, along a cosine."""
-    loss: str = "teacher"
     teacher_floor_mps2: float = 1.5
     """The teacher's sigma of linear acceleration where there is none; found on training flights, as is the next."""
     teacher_factor: float = 5.0
     """The teacher's sigma of linear acceleration over the true one (its mean over a second)."""
-    horizon_s: float = 30.0
-    """The loss ``budget`` also has the attitude error that the error of the bias brings within this time: chunks are too short to
-    show it."""
-    yaw_weight: float = 0.05
-    """Weight of the attitude error about all axes beside the tilt error."""
     gradient_limit: float = 1.0
     reference_noise_deg: float = 0.0
     """1 sigma of a constant error of the reference attitude per window, per axis (the paper's reference: 0.5)."""
@@ -76,8 +69,6 @@ class Settings:
                 raise InputError(f"training: {key} is {getattr(self, key)}, must be at least 1")
         if self.activation not in ACTIVATIONS or self.optimiser not in ("adam", "sgd"):
             raise InputError(f"training: activation must be one of {ACTIVATIONS}, optimiser adam or sgd")
-        if self.loss not in ("teacher", "budget"):
-            raise InputError(f"training: loss is '{self.loss}', must be teacher or budget")
         if not (self.window_s > 0 and self.learning_rate > 0 and 0 < self.final_rate <= 1):
             raise InputError("training: window_s and learning_rate must be positive, final_rate within (0, 1]")
 
@@ -119,10 +110,7 @@ class _Training:
         tensors = {key: torch.as_tensor(value) for key, value in self.norm.items()}
         shape = (settings.layers, settings.neurons, settings.activation)
         self.network = GainNetwork(*shape, tensors["mean"], tensors["std"], tensors["scale"]).to(self.device)
-        model, gyro = self.flights[0].model, training[0].log().imu.spec.gyro
-        self.filter = BatchFilter(model, self.device, torch.float32)
-        markov = (gyro.gauss_markov_sigma(), gyro.correlation_time_s)
-        self.budget = ErrorBudget(self.filter, model, gyro.rate_random_walk, markov)
+        self.filter = BatchFilter(self.flights[0].model, self.device, torch.float32)
         kinds = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD}
         self.optimiser = kinds[settings.optimiser](self.network.parameters(), lr=settings.learning_rate)
         self._teacher = (settings.teacher_floor_mps2, settings.teacher_factor)
@@ -210,10 +198,7 @@ class _Training:
         chunks, told = range(0, self.rows, self.settings.chunk), time.monotonic()
         for g, group in enumerate(groups):
             loaded = [self._start(windows, rng) for windows in group]
-            imitate = self.settings.loss == "teacher"
-            states = [
-                (self.network.start(len(b.p)), self.budget.start(b), b.p.clone() if imitate else None) for b in loaded
-            ]
+            states = [(self.network.start(len(b.p)), b.p.clone()) for b in loaded]
             for k, chunk in enumerate(chunks):
                 self._set_rate(epoch + (g + k / len(chunks)) / len(groups))
                 for i, batch in enumerate(loaded):
@@ -225,37 +210,30 @@ class _Training:
         return float(np.sqrt(np.mean(tilts) / 2.0))
 
     def _update(self, b: Batch, start: int, state: Any) -> tuple[Any, float]:
-        """One step of the optimiser on one chunk; returns memory and errors after it, and the mean square tilt (deg²)."""
+        """One step of the optimiser on one chunk; returns memory and teacher's covariance after it, and the mean square
+        tilt error (deg²; roll and pitch together)."""
         b.c_nb = _orthonormal(b.c_nb)
         memory = [(h.detach(), c.detach()) for h, c in state[0]]
-        errors, teacher = (state[1][0].detach(), state[1][1].detach()), state[2]
+        teacher = state[1]
         tilts, losses, apart = [], [], b.bias.new_zeros(len(b.bias), 6)
         for n in range(start, start + self.settings.chunk):
             z, k, turn = self.filter.before(b, n)
             change, memory = self.network(self.filter.inputs(z, k, b.bias, b.disturbance), memory)
-            if teacher is None:
-                seen = self.filter.seen(b, b.truth[:, n + 1])
-                beyond = torch.cat([-b.accel[:, n], b.mag[:, n]], 1) - seen
-                errors = self.budget.step(errors, turn, seen, beyond, k + change)
-                loss = self.budget.cost(errors, seen, self.settings.yaw_weight, self.settings.horizon_s)[1] * DEGREES**2
-            else:
-                wanted, teacher = self.filter.gain(teacher, turn, self.filter.seen(b, b.c_nb), b.accel_sigma[:, n])
-                difference = k + change - wanted
-                x = torch.einsum("bci,bc->bi", difference, z)
-                apart = torch.cat(
-                    [torch.einsum("bij,bi->bj", turn, apart[:, :3]) + x[:, :3], apart[:, 3:] + x[:, 3:6]], 1
-                )
-                loss = self._distance(difference, apart)
+            wanted, teacher = self.filter.gain(teacher, turn, self.filter.seen(b, b.c_nb), b.accel_sigma[:, n])
+            difference = k + change - wanted
+            x = torch.einsum("bci,bc->bi", difference, z)[:, :6]
+            carried = torch.einsum("bij,bi->bj", turn, apart[:, :3])
+            apart = torch.cat([carried, apart[:, 3:]], 1) + x
             self.filter.after(b, z, k + change)
             tilts.append(((b.c_nb - b.truth[:, n + 1])[:, 2] ** 2).sum(1).mean())
-            losses.append(loss)
+            losses.append(self._distance(difference, apart))
         self.optimiser.zero_grad(set_to_none=True)
         torch.stack(losses).mean().backward()
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.gradient_limit)
         if bool(torch.isfinite(norm)):
             self.optimiser.step()
             self.updates += 1
-        return (memory, errors, teacher), float(torch.stack(tilts).mean()) * DEGREES**2
+        return (memory, teacher), float(torch.stack(tilts).mean()) * DEGREES**2
 
     def _set_rate(self, progress: float) -> None:
         s = self.settings
@@ -265,13 +243,9 @@ class _Training:
             group["lr"] = s.learning_rate * warm * (s.final_rate + (1.0 - s.final_rate) * fall)
 
     def _start(self, windows: list[tuple[Prepared, int]], rng: np.random.Generator) -> Batch:
-        """Load windows, with an error of the reference where one is asked for."""
-        batch = make_batch(windows, self.rows, self.device, teacher=self._teacher)
-        if self.settings.reference_noise_deg:
-            error = rng.normal(0.0, self.settings.reference_noise_deg / DEGREES, (len(windows), 3))
-            turn = self.filter.rotation(torch.as_tensor(error).to(self.device, torch.float32))
-            batch.truth = batch.truth @ turn[:, None]
-        return batch
+        """Load windows, with an error of the reference attitude where one is asked for."""
+        error = rng.normal(0.0, self.settings.reference_noise_deg / DEGREES, (len(windows), 3))
+        return make_batch(windows, self.rows, self.device, teacher=self._teacher, reference_error=error)
 
     def _validate(self) -> float:
         """Roll and pitch RMSE (deg, both axes pooled) over the validation flights, with the compiled filter."""

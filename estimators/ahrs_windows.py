@@ -101,10 +101,14 @@ def make_batch(
     rows: int,
     device: torch.device,
     dtype: torch.dtype = torch.float32,
-    teacher: tuple[float, float] = (0.5, 5.0),
+    teacher: tuple[float, float] = (1.5, 5.0),
+    reference_error: NDArray[np.float64] | None = None,
 ) -> Batch:
-    """Load windows that start at rows that are multiples of the stride; none starts at row 0, which has no truth before it."""
-    from testbed.rotations import quats_to_matrices
+    """Load windows that start at rows that are multiples of the stride; none starts at row 0, which has no truth before it.
+
+    ``teacher``: floor (m/s²) and factor of `teacher_sigma`; ``reference_error`` (B,3), rad, turns the true attitude in b.
+    """
+    from testbed.rotations import quats_to_matrices, rotvec_to_quat
 
     before = [prepared.flight.window(start - 1, rows + 1) for prepared, start in windows]
     data = [{key: values[1:] for key, values in d.items()} for d in before]
@@ -115,6 +119,9 @@ def make_batch(
         return torch.as_tensor(np.ascontiguousarray(values)).to(device, dtype)
 
     truth = np.stack([quats_to_matrices(d["q_nb"].astype(np.float64)) for d in before])
+    if reference_error is not None:
+        errors = quats_to_matrices(np.array([rotvec_to_quat(error) for error in reference_error]))
+        truth = truth @ errors[:, None]
     accel = [d["accel"] - prepared.accel_bias for d, (prepared, _) in zip(data, windows, strict=True)]
     gravity_b = [c[1:, 2] * prepared.model[10] for c, (prepared, _) in zip(truth, windows, strict=True)]
     rate = 1.0 / float(windows[0][0].model[9])

@@ -79,6 +79,14 @@ def test_headline_does_not_crown_a_tie(tmp_path: Path) -> None:
     assert "do not tell it apart" in headline(load_result(folder)).sentences[0]
 
 
+def test_without_the_runs_nothing_is_called_a_tie(tmp_path: Path) -> None:
+    """A copied report has the tables but not the runs: the ranking of the means stands, no test is made up."""
+    folder = make_result(tmp_path, runs=8)
+    (folder / "metrics.parquet").unlink()
+    first = headline(load_result(folder)).sentences[0]
+    assert "tell it apart" not in first and first.endswith("; next is kf.")
+
+
 def test_single_run_has_no_interval(tmp_path: Path) -> None:
     folder = make_result(tmp_path, factors={"a": 1.0, "b": 3.0}, runs=1, diverged=0)
     assert "too few for an interval" in " ".join(headline(load_result(folder)).sentences)

@@ -58,6 +58,8 @@ def headline(result: Result) -> Headline:
 
 def _ranking(first: str, gains: dict[str, Improvement]) -> list[str]:
     """How firmly the winner leads. ``gains`` are its leads, from the next best to the last."""
+    if not any(gain.n for gain in gains.values()):
+        return [f"{first}; next is {next(iter(gains))}."]
     level = [rival for rival, gain in gains.items() if not gain.low > 0.0]
     clear = [rival for rival, gain in gains.items() if gain.low > 0.0]
     if not level:
