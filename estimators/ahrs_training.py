@@ -39,7 +39,7 @@ class Settings:
     layers: int = 2
     neurons: int = 200
     activation: str = "sigmoid"
-    epochs: int = 3
+    epochs: int = 4
     batch: int = 50
     interleave: int = 2
     """Batches that take turns, a chunk each, so that one update after another sees other windows."""
@@ -179,16 +179,18 @@ class _Training:
         return self.folder / "checkpoint.safetensors"
 
     def _windows(self, epoch: int) -> list[list[tuple[Prepared, int]]]:
-        """Batches of window starts: all flights cut into windows from a drawn offset, shuffled."""
+        """Batches of window starts: all flights cut into windows from a drawn offset, shuffled.
+
+        Every second time the offset is the smallest, or the start of a flight would hardly ever be seen.
+        """
         rng = np.random.default_rng((self.settings.seed, epoch))
         windows = []
         for flight in self.flights:
             room = max(1, min(self.rows, flight.flight.rows - self.rows) // self.stride)
-            offset = int(rng.integers(1, room + 1)) * self.stride
+            offset = int(rng.integers(1, room + 1)) * self.stride if rng.random() < 0.5 else self.stride
             windows += [(flight, start) for start in range(offset, flight.flight.rows - self.rows + 1, self.rows)]
-        order = rng.permutation(len(windows))
-        size = min(self.settings.batch, len(windows))
-        return [[windows[i] for i in order[a : a + size]] for a in range(0, len(windows) - size + 1, size)]
+        parts = np.array_split(rng.permutation(len(windows)), -(-len(windows) // self.settings.batch))
+        return [[windows[i] for i in part] for part in parts]
 
     def _epoch(self, epoch: int) -> float:
         """Root mean square tilt error (deg per axis) over the epoch, while learning."""
