@@ -5,6 +5,7 @@ Sphere, Rosenbrock, Rastrigin and Ackley with their usual boxes (Yao, Liu & Lin,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -39,7 +40,7 @@ def ackley(x: Array) -> Array:
     """A funnel with ripples."""
     root = np.sqrt((x**2).mean(axis=1))
     ripple = np.cos(2.0 * np.pi * x).mean(axis=1)
-    out: Array = 20.0 + np.e - 20.0 * np.exp(-0.2 * root) - np.exp(ripple)
+    out: Array = 20.0 + math.e - 20.0 * np.exp(-0.2 * root) - np.exp(ripple)
     return out
 
 
