@@ -79,7 +79,8 @@ def _loader(
 
     overrides: dict[str, Any] = dict(parse_setting(text) for text in settings or [])
     for key, value in overrides.items():
-        if _PATH_KEY.fullmatch(key) and isinstance(value, str):
+        folder = key == "flight.aircraft" and "/" in str(value)
+        if isinstance(value, str) and (folder or _PATH_KEY.fullmatch(key)):
             overrides[key] = str(Path(value).resolve())
     if seed is not None:
         overrides["monte_carlo.seed"] = seed
@@ -338,13 +339,16 @@ def list_command(
 
 @app.command("new")
 def new_command(
-    kind: Annotated[str, typer.Argument(help="estimator or scenario.", autocompletion=completion.starting_files)],
+    kind: Annotated[
+        str, typer.Argument(help="estimator, scenario or aircraft.", autocompletion=completion.starting_files)
+    ],
     name: Annotated[str, typer.Argument(help="Its name; the file goes into this folder.")],
+    like: Annotated[str | None, typer.Option("--like", help="The aircraft to start from (default: aerosonde).")] = None,
 ) -> None:
-    """A commented starting file that runs as it is."""
+    """A starting file that works as it is: an estimator, a scenario, or a copy of an aircraft."""
     from testbed.new import command_for, new_file
 
-    path = new_file(kind, name)
+    path = new_file(kind, name, like=like)
     print(f"{path}; try it with: {command_for(kind, path, name)}")
 
 

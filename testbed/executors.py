@@ -247,40 +247,44 @@ def cluster_work(setup: Setup, run: int) -> Finished:
     return pack(_cluster_benches[key].execute(run))
 
 
-def cluster(setup: Setup, runs: Iterable[int], address: str) -> Iterator[Finished]:
-    """Compute the units on the Dask cluster whose scheduler listens at ``address``. Raises InputError without the extra."""
+def connect(address: str) -> Any:
+    """A client, to be closed, of the Dask cluster whose scheduler listens at ``address``.
+
+    Raises InputError without the extra ``cluster``, or where no scheduler answers.
+    """
     try:
         from distributed import Client
     except ImportError:
         raise InputError("--scheduler needs the extra 'cluster': pip install 'navigation-testbed[cluster]'") from None
+    try:
+        return Client(address, timeout=10)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(f"no Dask scheduler answers at {address} ({error})") from None
+
+
+def cluster(setup: Setup, runs: Iterable[int], client: Any) -> Iterator[Finished]:
+    """Compute the units on the Dask cluster of ``client``, two per thread in flight."""
     from concurrent.futures import CancelledError
 
     from distributed.comm import CommClosedError
     from distributed.scheduler import KilledWorker
 
-    try:
-        client: Any = Client(address, timeout=10)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(f"no Dask scheduler answers at {address} ({error})") from None
-    with client:
-        executor = client.get_executor(pure=False)
-        waiting = iter(runs)
-        flying: dict[Future[Finished], int] = {}
-        while True:
-            wanted = 2 * max(1, sum(client.nthreads().values()))
-            while len(flying) < wanted and (run := next(waiting, None)) is not None:
-                flying[executor.submit(cluster_work, setup, run)] = run
-            if not flying:
-                return
-            done, _ = wait(flying, return_when=FIRST_COMPLETED)
-            for future in done:
-                run = flying.pop(future)
-                try:
-                    unit = future.result()
-                except KilledWorker:
-                    unit = pack(lost(setup, run, "it ended every Dask worker that computed it"))
-                except (CancelledError, CommClosedError) as error:
-                    raise TestbedError(
-                        f"the Dask cluster at {address} is gone; run the same command with --resume"
-                    ) from error
-                yield unit
+    executor = client.get_executor(pure=False)
+    waiting = iter(runs)
+    flying: dict[Future[Finished], int] = {}
+    while True:
+        wanted = 2 * max(1, sum(client.nthreads().values()))
+        while len(flying) < wanted and (run := next(waiting, None)) is not None:
+            flying[executor.submit(cluster_work, setup, run)] = run
+        if not flying:
+            return
+        done, _ = wait(flying, return_when=FIRST_COMPLETED)
+        for future in done:
+            run = flying.pop(future)
+            try:
+                unit = future.result()
+            except KilledWorker:
+                unit = pack(lost(setup, run, "it ended every Dask worker that computed it"))
+            except (CancelledError, CommClosedError) as error:
+                raise TestbedError("the Dask cluster is gone; run the same command with --resume") from error
+            yield unit

@@ -1,12 +1,14 @@
-"""Starting files: ``testbed new estimator NAME`` and ``testbed new scenario NAME`` write one that runs as it is.
+"""Starting points: ``testbed new estimator|scenario|aircraft NAME`` writes one that works as it is.
 
-The files under ``templates/`` are themselves valid; only the names in them are replaced.
+The files under ``templates/`` are themselves valid; only the names in them are replaced. An aircraft starts as a copy of
+a shipped one.
 """
 
 from __future__ import annotations
 
 import keyword
 import re
+import shutil
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,15 +19,20 @@ TEMPLATES = Path(__file__).with_name("templates")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([_-][A-Za-z0-9]+)*")
 
 
-def new_file(kind: str, name: str, folder: Path = Path()) -> Path:
-    """Write the starting file of a ``kind`` (estimator or scenario) into ``folder`` and return its path.
+def new_file(kind: str, name: str, folder: Path = Path(), like: str | None = None) -> Path:
+    """Write the starting file of a ``kind`` (estimator, scenario or aircraft) into ``folder`` and return its path.
 
-    Raises InputError for an unknown kind, a name that is malformed or taken, and a file that exists.
+    An aircraft is a folder, a copy of the shipped aircraft ``like``. Raises InputError for an unknown kind, a name that
+    is malformed or taken, and a file that exists.
     """
-    if kind not in KINDS:
-        raise InputError(f"no starting file for '{kind}'; {nearest(kind, KINDS)}")
+    if kind not in (*KINDS, "aircraft"):
+        raise InputError(f"no starting file for '{kind}'; {nearest(kind, [*KINDS, 'aircraft'])}")
     if not NAME.fullmatch(name):
         raise InputError(f"'{name}': a name is letters and digits, words joined by '-' or '_', for example my-{kind}")
+    if kind == "aircraft":
+        return _aircraft(folder / name, like or "aerosonde")
+    if like is not None:
+        raise InputError(f"--like is for an aircraft; the starting file of a new {kind} is always the same")
     file_name, text = KINDS[kind](name)
     path = folder / file_name
     try:
@@ -64,8 +71,25 @@ def _scenario(name: str) -> tuple[str, str]:
 KINDS: dict[str, Callable[[str], tuple[str, str]]] = {"estimator": _estimator, "scenario": _scenario}
 
 
+def _aircraft(path: Path, like: str) -> Path:
+    from testbed.flight.aircraft import list_aircraft
+    from testbed.resources import aircraft_root
+
+    if like not in list_aircraft():
+        raise InputError(f"--like {like}: no such aircraft; {nearest(like, list_aircraft())}")
+    try:
+        shutil.copytree(aircraft_root() / like, path)
+    except FileExistsError:
+        raise InputError(f"{path}: exists already; give another name") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    return path
+
+
 def command_for(kind: str, path: Path, name: str) -> str:
     """What to type next."""
+    if kind == "aircraft":
+        return f"testbed fly SCENARIO --set flight.aircraft=./{path}"
     if kind == "scenario":
         return f"testbed run {path}"
     return f"testbed run quickstart --plugin {path} --estimators {name},indirect-kf --runs 5"

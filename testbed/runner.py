@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -91,34 +92,48 @@ def run(
     ``jobs`` processes (default: one per core; 1 computes in this process), or a Dask cluster at ``scheduler``.
     ``resume`` completes what an earlier call left. Raises InputError before anything is written, Interrupted on Ctrl-C.
     """
-    scenario = with_settings(scenario, runs if isinstance(runs, int) else None, seed, estimators)
-    if isinstance(runs, Auto) and not scenario.active_claims():
-        raise InputError(f"{scenario.name}: --runs auto watches the intervals of claims, but the scenario has none")
     jobs = jobs if jobs is not None else os.cpu_count() or 1
     if jobs < 1:
         raise InputError(f"--jobs {jobs}: at least one")
-    if timeout is not None and timeout <= 0:
-        raise InputError(f"--timeout {timeout:g}: must be above 0 s")
-    setup = Setup(scenario, tuple(str(Path(p).resolve()) for p in plugins), timeout)
+    setup = plan(scenario, runs, seed, estimators, timeout, plugins)
+    scenario = setup.scenario
     identity = {"scenario": scenario.digest(), "plugins": files_digest(setup.plugins), "testbed": testbed.__version__}
     trajectory = prepare(setup)
-    store = Store.create(out, identity, scenario.to_toml(), resume)
-    started = time.time()
-    store.update_manifest(**provenance(scenario, setup), finished=False)
-    done = set(store.finished_runs())
-    wanted = 0
-    for wanted in runs.checkpoints() if isinstance(runs, Auto) else [scenario.monte_carlo.runs]:
-        missing = [k for k in range(wanted) if k not in done]
-        _complete(store, setup, missing, wanted, jobs, scheduler, progress)
-        done.update(missing)
-        if isinstance(runs, Auto) and _narrow(store, scenario, wanted, runs.width_pct):
-            break
+    with nullcontext() if scheduler is None else executors.connect(scheduler) as client:
+        store = Store.create(out, identity, scenario.to_toml(), resume)
+        started = time.time()
+        store.update_manifest(**provenance(scenario, setup), finished=False)
+        done = set(store.finished_runs())
+        wanted = 0
+        for wanted in runs.checkpoints() if isinstance(runs, Auto) else [scenario.monte_carlo.runs]:
+            missing = [k for k in range(wanted) if k not in done]
+            _complete(store, missing, wanted, _units(setup, missing, jobs, client), progress)
+            done.update(missing)
+            if isinstance(runs, Auto) and _narrow(store, scenario, wanted, runs.width_pct):
+                break
     from testbed.aggregate import aggregate
 
     tables = aggregate(store, scenario, range(wanted), envelope_times(trajectory))
     seconds = round(time.time() - started, 3)
     store.update_manifest(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
     return Result(store.out, **vars(tables))
+
+
+def plan(
+    scenario: Scenario,
+    runs: int | Auto | None = None,
+    seed: int | None = None,
+    estimators: Sequence[str] | None = None,
+    timeout: float | None = None,
+    plugins: Sequence[str | Path] = (),
+) -> Setup:
+    """What `run` computes with these arguments, as its workers are told. Raises InputError."""
+    scenario = with_settings(scenario, runs if isinstance(runs, int) else None, seed, estimators)
+    if isinstance(runs, Auto) and not scenario.active_claims():
+        raise InputError(f"{scenario.name}: --runs auto watches the intervals of claims, but the scenario has none")
+    if timeout is not None and timeout <= 0:
+        raise InputError(f"--timeout {timeout:g}: must be above 0 s")
+    return Setup(scenario, tuple(str(Path(p).resolve()) for p in plugins), timeout)
 
 
 def with_settings(
@@ -224,22 +239,11 @@ def git_revision() -> str | None:
     return head.stdout.strip() + ("+" if changes.stdout.strip() else "") if head.returncode == 0 else None
 
 
-def _complete(
-    store: Store,
-    setup: Setup,
-    missing: list[int],
-    wanted: int,
-    jobs: int,
-    scheduler: str | None,
-    progress: Progress | None,
-) -> None:
-    """Compute and store the missing runs."""
+def _complete(store: Store, missing: list[int], wanted: int, units: Any, progress: Progress | None) -> None:
+    """Compute and store the missing runs; ``units`` is a generator of them."""
     done = wanted - len(missing)
     if progress is not None:
         progress(done, wanted)
-    if not missing:
-        return
-    units = _units(setup, missing, jobs, scheduler)
     try:
         for unit in units:
             store.write_run(unit.run, unit.content, unit.files)
@@ -254,11 +258,11 @@ def _complete(
         units.close()
 
 
-def _units(setup: Setup, missing: list[int], jobs: int, scheduler: str | None) -> Any:
-    """Generator of finished units."""
-    if scheduler is not None:
-        return executors.cluster(setup, missing, scheduler)
-    if setup.limit_s is None and (jobs == 1 or len(missing) == 1):
+def _units(setup: Setup, missing: list[int], jobs: int, client: Any) -> Any:
+    """Generator of finished units: on the Dask cluster of ``client``, in this process, or in a pool."""
+    if client is not None:
+        return executors.cluster(setup, missing, client)
+    if not missing or (setup.limit_s is None and (jobs == 1 or len(missing) == 1)):
         return executors.inline(setup, missing)
     return executors.Pool(setup, min(jobs, len(missing))).run(missing)
 

@@ -226,6 +226,10 @@ class Scenario(Table):
         for sensor in data.get("sensors", {}).values():
             if isinstance(sensor, dict) and "file" in sensor:
                 sensor["file"] = hashlib.sha256(Path(sensor["file"]).read_bytes()).hexdigest()
+        if self.flight is not None and "/" in self.flight.aircraft:
+            from testbed.flight.cache import content_of
+
+            data["flight"]["aircraft"] = hashlib.sha256(content_of(Path(self.flight.aircraft))).hexdigest()
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
 
 

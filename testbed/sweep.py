@@ -9,11 +9,12 @@ from __future__ import annotations
 import itertools
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from testbed.errors import InputError
-from testbed.runner import run
+from testbed.runner import plan, prepare, run
 from testbed.scenario import Scenario
 from testbed.store import read_manifest
 
@@ -47,7 +48,8 @@ def sweep(
     """Run every combination of ``grid`` (dotted scenario key -> values) and write ``sweep.csv`` and ``sweep.png``.
 
     ``load`` makes the scenario of a point from its overrides, for example ``lambda o: load_scenario(name, overrides=o)``.
-    ``announce`` is told each point; ``options`` go to `testbed.runner.run`. All scenarios are checked before any is run.
+    ``announce`` is told each point; ``options`` go to `testbed.runner.run`. All points are flown
+    and sensed once, and so checked, before any is run.
     """
     import pandas as pd
 
@@ -56,6 +58,9 @@ def sweep(
         raise InputError("a sweep needs at least one key with at least one value")
     points = [dict(zip(keys, values, strict=True)) for values in itertools.product(*grid.values())]
     scenarios = [load(point) for point in points]
+    planned = {key: value for key, value in options.items() if key in signature(plan).parameters}
+    for scenario in scenarios:
+        prepare(plan(scenario, **planned))
     frames = []
     for number, (point, scenario) in enumerate(zip(points, scenarios, strict=True), 1):
         label = f"point {number} of {len(points)}: " + ", ".join(

@@ -91,6 +91,16 @@ def test_sweep_checks_every_point_before_it_runs_one(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_sweep_senses_every_point_before_it_runs_one(tmp_path):
+    def load(point):
+        sensors = {"imu": {"model": "ideal"}, "gnss": {"outages": [[20.0, point["end_s"]]]}}
+        return mc.scenario([{"name": "ins"}], sensors=sensors)
+
+    with pytest.raises(InputError, match=r"\[20, 70\] lies outside of the flight"):
+        sweep(load, {"end_s": [50.0, 70.0]}, tmp_path / "out", jobs=1)
+    assert not (tmp_path / "out").exists()
+
+
 def test_holm_is_the_textbook_example():
     # Holm (1979): ordered p-values times n, n-1, ..., kept monotone
     adjusted = holm(np.array([0.01, 0.04, 0.03, 0.005, math.nan]))

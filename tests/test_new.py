@@ -2,12 +2,27 @@
 
 import re
 
+import numpy as np
 import pytest
 
+from testbed import fly
 from testbed.errors import InputError
 from testbed.new import NAME, TEMPLATES, new_file
 from testbed.registry import load_plugin
 from testbed.scenario import load_scenario
+
+SHORT_FLIGHT = """
+[scenario]
+name = "short"
+[flight]
+aircraft = "{aircraft}"
+initial = {{ lat_deg = 45.0, lon_deg = 5.0, alt_m = 1000.0, speed_mps = {speed}, heading_deg = 0.0 }}
+manoeuvres = [{{ type = "turn", bank_deg = 30.0, duration_s = 4.0 }}]
+[sensors.imu]
+model = "ideal"
+[[estimators]]
+name = "ins"
+"""
 
 
 @pytest.mark.parametrize("name", ["mine", "my-filter_2", "none", "nav-solution", "class-var", "A"])
@@ -40,12 +55,45 @@ def test_everything_that_the_scenario_offers_in_comments_is_valid(tmp_path):
         ("estimator", "indirect-kf", "already"),
         ("scenario", "quickstart", "shipped"),
         ("scenarios", "x", "did you mean 'scenario'"),
+        ("aircraft", "a/b", "my-aircraft"),
     ],
 )
 def test_bad_names_are_refused(kind, name, word, tmp_path):
     with pytest.raises(InputError, match=word):
         new_file(kind, name, tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("like", ["aerosonde", "agile"])
+def test_an_aircraft_flies_like_the_one_that_it_copies(like, tmp_path, monkeypatch):
+    """Also one with XML of its own, in a folder of another name; the scenario names the folder from its own."""
+    monkeypatch.setenv("TESTBED_CACHE", str(tmp_path / "cache"))
+    new_file("aircraft", "mine", tmp_path, like=like)
+    flown = []
+    for name in (like, "./mine"):
+        speed = {"aerosonde": 30.0, "agile": 200.0}[like]
+        (tmp_path / "flight.toml").write_text(SHORT_FLIGHT.format(aircraft=name, speed=speed))
+        flown.append(fly(load_scenario(tmp_path / "flight.toml")))
+    np.testing.assert_array_equal(flown[0].w_ib_b, flown[1].w_ib_b)
+
+
+def test_a_changed_aircraft_of_ones_own_is_another_scenario(tmp_path):
+    folder = new_file("aircraft", "mine", tmp_path)
+    (tmp_path / "flight.toml").write_text(SHORT_FLIGHT.format(aircraft="./mine", speed=30.0))
+    before = load_scenario(tmp_path / "flight.toml").digest()
+    text = (folder / "aircraft.toml").read_text()
+    (folder / "aircraft.toml").write_text(text.replace("roll_angle = 3.0", "roll_angle = 2.0"))
+    assert load_scenario(tmp_path / "flight.toml").digest() != before
+
+
+def test_a_folder_that_is_no_aircraft(tmp_path):
+    (tmp_path / "flight.toml").write_text(SHORT_FLIGHT.format(aircraft="./nothing", speed=30.0))
+    with pytest.raises(InputError, match=r"nothing: not an aircraft: it has no aircraft\.toml"):
+        fly(load_scenario(tmp_path / "flight.toml"))
+    with pytest.raises(InputError, match="did you mean 'agile'"):
+        new_file("aircraft", "mine", tmp_path, like="agle")
+    with pytest.raises(InputError, match="--like is for an aircraft"):
+        new_file("estimator", "mine", tmp_path, like="agile")
 
 
 def test_an_existing_file_is_kept(tmp_path):

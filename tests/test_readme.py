@@ -6,10 +6,8 @@ the README does at length is done here in short: few runs in one process, no fig
 
 import contextlib
 import io
-import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -82,10 +80,8 @@ def check_output(block: Block, output: str) -> None:
 
 
 def test_every_block_runs_and_prints_what_is_pasted(tmp_path, monkeypatch):
-    shutil.copytree(ROOT / "aircraft", tmp_path / "aircraft")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TESTBED_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("testbed.flight.aircraft.aircraft_root", lambda: tmp_path / "aircraft")
     monkeypatch.setattr("testbed.report.figures.save_figures", lambda *_args, **_options: {})
     namespace: dict[str, object] = {}
     output = ""
@@ -156,6 +152,5 @@ def test_every_option_in_the_readme_exists():
 
 def test_this_file_leaves_nothing_in_the_repository():
     """The tour's files belong in its own folder."""
-    for name in ("mine.py", "my_filter.py", "my-flight.toml", "sensors.toml", "recorded.toml"):
+    for name in ("mine.py", "my_filter.py", "my-flight.toml", "sensors.toml", "recorded.toml", "mine"):
         assert not (ROOT / name).exists()
-        assert not os.path.lexists(ROOT / "aircraft" / "mine")

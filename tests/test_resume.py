@@ -128,6 +128,13 @@ def test_no_scheduler_is_an_input_error(tmp_path, monkeypatch):
         runner.run(mc.scenario([mc.GOOD]), tmp_path / "out", scheduler="tcp://127.0.0.1:1", plugins=[mc.PLUGIN])
 
 
+def test_a_scheduler_that_does_not_answer_leaves_nothing_behind(tmp_path):
+    pytest.importorskip("distributed")
+    with pytest.raises(InputError, match="no Dask scheduler answers"):
+        runner.run(mc.scenario([mc.GOOD]), tmp_path / "out", scheduler="tcp://127.0.0.1:1", plugins=[mc.PLUGIN])
+    assert not (tmp_path / "out").exists()
+
+
 def test_damaged_and_left_over_files_are_done_again(tmp_path, undisturbed):
     first = runner.run(mc.slow_scenario(RUNS), tmp_path / "out", jobs=1, plugins=[mc.PLUGIN])
     runs = first.out / "runs"

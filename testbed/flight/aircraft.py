@@ -97,9 +97,17 @@ def list_aircraft() -> list[str]:
 
 
 def load_aircraft(name: str) -> tuple[Aircraft, Path]:
-    """The checked ``aircraft.toml`` and its folder. Raises InputError with the nearest name."""
-    names = list_aircraft()
-    if name not in names:
-        raise InputError(f"unknown aircraft '{name}'; {nearest(name, names)}")
-    folder = aircraft_root() / name
+    """The checked ``aircraft.toml`` and its folder, of a shipped aircraft or of a folder (a name with a ``/``).
+
+    Raises InputError with the nearest name.
+    """
+    if "/" in name:
+        folder = Path(name)
+        if not (folder / "aircraft.toml").is_file():
+            raise InputError(f"{folder}: not an aircraft: it has no aircraft.toml")
+    else:
+        names = list_aircraft()
+        if name not in names:
+            raise InputError(f"unknown aircraft '{name}'; {nearest(name, names)}; a folder of your own is './{name}'")
+        folder = aircraft_root() / name
     return validate(Aircraft, read_toml(folder / "aircraft.toml"), str(folder / "aircraft.toml")), folder

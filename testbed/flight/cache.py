@@ -27,14 +27,18 @@ def path_of(config: FlightConfig, folder: Path, seed: int) -> Path:
     key = {
         "code": CODE_VERSION,
         "jsbsim": version("jsbsim"),
-        "config": config.model_dump(mode="json"),
+        "config": config.model_dump(mode="json") | {"aircraft": folder.name},
         "seed": seed if config.wind.turbulence != "none" else 0,
     }
     digest.update(json.dumps(key, sort_keys=True).encode())
-    for file in sorted(folder.rglob("*")):
-        if file.is_file():
-            digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
+    digest.update(content_of(folder))
     return cache_root() / "flights" / f"{digest.hexdigest()[:32]}.parquet"
+
+
+def content_of(folder: Path) -> bytes:
+    """Names and bytes of the files in an aircraft's folder, in one string."""
+    files = (file for file in sorted(folder.rglob("*")) if file.is_file())
+    return b"".join(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes() for file in files)
 
 
 def load(path: Path) -> Trajectory | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from testbed.schema import Table
 
@@ -238,12 +238,19 @@ class FlightConfig(Table):
     """``[flight]``: who flies what. ``duration_s`` cuts the script short, or ends it with straight flight."""
 
     aircraft: str
+    """Name of a shipped one, or a folder of the user's own: anything with a ``/``, from the scenario's folder on."""
     rate_hz: float = Field(default=100.0, ge=10, le=1000)
     duration_s: Duration | None = None
     payload_kg: float = Field(default=0.0, ge=0, le=100_000)
     initial: InitialFlightState
     wind: Wind = Wind()
     manoeuvres: list[AnyManoeuvre] = Field(min_length=1)
+
+    @field_validator("aircraft")
+    @classmethod
+    def _from_folder(cls, value: str, info: ValidationInfo) -> str:
+        folder = (info.context or {}).get("folder")
+        return str((folder / value).resolve()) if "/" in value and folder is not None else value
 
 
 def _not_level(bank_deg: float) -> float:

@@ -127,8 +127,8 @@ def _load(aircraft: Aircraft, folder: Path) -> Any:
     if model.shipped:
         loaded = fdm.load_model(model.jsbsim)
     else:
-        root = str(folder.parent)
-        loaded = fdm.load_model_with_paths(model.jsbsim, root, root, root)
+        root = str(folder)
+        loaded = fdm.load_model_with_paths(model.jsbsim, root, root, root, False)
     if not loaded:
         raise InputError(f"{folder / 'aircraft.toml'}: JSBSim has no model '{model.jsbsim}'")
     fdm.disable_output()
