@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from testbed.errors import InputError
 from testbed.records import NavSolution, SensorErrors, SensorLog, Trajectory
@@ -107,6 +110,17 @@ def windows_of(scenario: Scenario, trajectory: Trajectory, log: SensorLog | None
         return resolve_windows(scenario.windows, trajectory, outages)
 
 
+def truth_at_imu(trajectory: Trajectory, log: SensorLog) -> Trajectory:
+    """The truth of the point that the estimators navigate: where the IMU sits, which ``lever_arm_m`` may set apart."""
+    arm = np.array(log.imu.spec.lever_arm_b)
+    if not arm.any():
+        return trajectory
+    from testbed.sensors.gnss import point_state
+
+    lat, lon, h, v_n = point_state(trajectory, trajectory.t, arm)
+    return replace(trajectory, lat=lat, lon=lon, h=h, v_n=v_n)
+
+
 def score(
     scenario: Scenario,
     trajectory: Trajectory,
@@ -116,9 +130,11 @@ def score(
 ) -> pd.DataFrame:
     """Errors of a solution as a table (window, metric, value); the metric names are in `testbed.metrics`.
 
-    With ``log`` also the windows of drawn outages and the differences to GNSS; with ``errors`` also ``nees_bias``.
+    With ``log`` also the windows of drawn outages, the differences to GNSS, and an IMU's lever arm; with ``errors`` also
+    ``nees_bias``.
     """
     from testbed import metrics
 
     gnss: Any = log.gnss if log is not None else None
-    return metrics.score(trajectory, solution, windows_of(scenario, trajectory, log), errors=errors, gnss=gnss)
+    truth = trajectory if log is None else truth_at_imu(trajectory, log)
+    return metrics.score(truth, solution, windows_of(scenario, trajectory, log), errors=errors, gnss=gnss)

@@ -97,6 +97,7 @@ class Bench:
             trajectory = self.trajectory(run)
             log, errors = pipeline.sense(scenario, trajectory, run=run)
             windows = pipeline.windows_of(scenario, trajectory, log)
+            trajectory = pipeline.truth_at_imu(trajectory, log)
         except Exception as error:
             return lost(self.setup, run, f"no data: {_reason(error)}")
         collected: list[tuple[EstimatorConfig, NavSolution, metrics.ErrorSeries]] = []
