@@ -7,7 +7,6 @@ quaternions body-to-nav and scalar first. Time is in seconds from the start of t
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed import specs
+from testbed.columns import columns, exact_columns, pva_columns, read_pva, read_table, stack, write_table
 from testbed.errors import InputError
 from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 
@@ -81,24 +81,24 @@ class Trajectory:
         """Columns ``time_s, lat_deg, lon_deg, alt_m, v_north_mps.., roll_deg.., gyro_x_radps.., accel_x_mps2..``."""
         import pandas as pd
 
-        columns = _pva_columns(self.t, self.lat, self.lon, self.h, self.v_n, self.q_nb)
-        columns |= _columns("gyro_{}_radps", "xyz", self.w_ib_b) | _columns("accel_{}_mps2", "xyz", self.f_b)
-        return pd.DataFrame(columns | dict(self.extra))
+        table = pva_columns(self.t, self.lat, self.lon, self.h, self.v_n, self.q_nb)
+        table |= columns("gyro_{}_radps", "xyz", self.w_ib_b) | columns("accel_{}_mps2", "xyz", self.f_b)
+        return pd.DataFrame(table | dict(self.extra))
 
     def save(self, path: str | Path) -> None:
         """Write Parquet. Quaternions and radians are stored beside the degrees so that loading is exact."""
-        frame = self.to_frame().assign(**_exact_columns(self))
+        frame = self.to_frame().assign(**exact_columns(self.lat, self.lon, self.q_nb))
         meta = {"name": self.name, "phases": [[p.name, p.start, p.end] for p in self.phases], "extra": list(self.extra)}
-        _write(frame, path, "Trajectory", meta)
+        write_table(frame, path, "Trajectory", meta)
 
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:
         """Read what `save` wrote. Raises InputError when the file is no Trajectory."""
-        frame, meta = _read(path, "Trajectory")
+        frame, meta = read_table(path, "Trajectory")
         return cls(
-            **_read_pva(frame),
-            f_b=_stack(frame, "accel_{}_mps2", "xyz"),
-            w_ib_b=_stack(frame, "gyro_{}_radps", "xyz"),
+            **read_pva(frame),
+            f_b=stack(frame, "accel_{}_mps2", "xyz"),
+            w_ib_b=stack(frame, "gyro_{}_radps", "xyz"),
             extra={key: frame[key].to_numpy() for key in meta["extra"]},
             phases=tuple(Phase(*p) for p in meta["phases"]),
             name=meta["name"],
@@ -211,16 +211,16 @@ class SensorLog:
         import pandas as pd
 
         imu = self.imu
-        gyro, accel = _columns("gyro_{}_radps", "xyz", imu.gyro), _columns("accel_{}_mps2", "xyz", imu.accel)
+        gyro, accel = columns("gyro_{}_radps", "xyz", imu.gyro), columns("accel_{}_mps2", "xyz", imu.accel)
         out = {"imu": pd.DataFrame({"time_s": imu.t} | gyro | accel)}
         if (gnss := self.gnss) is not None:
             lla = {"time_s": gnss.t, "lat_deg": np.degrees(gnss.lat), "lon_deg": np.degrees(gnss.lon), "alt_m": gnss.h}
-            velocity = _columns("v_{}_mps", ("north", "east", "down"), gnss.v_n)
+            velocity = columns("v_{}_mps", ("north", "east", "down"), gnss.v_n)
             out["gnss"] = pd.DataFrame(
-                lla | velocity | ({} if gnss.std is None else _columns("std_{}", range(6), gnss.std))
+                lla | velocity | ({} if gnss.std is None else columns("std_{}", range(6), gnss.std))
             )
         if self.mag is not None:
-            out["mag"] = pd.DataFrame({"time_s": self.mag.t} | _columns("mag_{}_ut", "xyz", self.mag.field))
+            out["mag"] = pd.DataFrame({"time_s": self.mag.t} | columns("mag_{}_ut", "xyz", self.mag.field))
         if self.baro is not None:
             out["baro"] = pd.DataFrame({"time_s": self.baro.t, "pressure_pa": self.baro.pressure})
         return out
@@ -237,35 +237,35 @@ class SensorLog:
             elif key == "gnss" and self.gnss is not None:
                 frame = frame.assign(lat_rad=self.gnss.lat, lon_rad=self.gnss.lon)
                 meta["outages"] = list(self.gnss.outages)
-            _write(frame, folder / f"{key}.parquet", f"SensorLog.{key}", meta)
+            write_table(frame, folder / f"{key}.parquet", f"SensorLog.{key}", meta)
 
     @classmethod
     def load(cls, path: str | Path) -> SensorLog:
         """Read the folder that `save` wrote. Raises InputError when it is none."""
         folder = Path(path)
-        frame, meta = _read(folder / "imu.parquet", "SensorLog.imu")
+        frame, meta = read_table(folder / "imu.parquet", "SensorLog.imu")
         initial: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v for k, v in meta["initial"].items()}
-        gyro, accel = _stack(frame, "gyro_{}_radps", "xyz"), _stack(frame, "accel_{}_mps2", "xyz")
+        gyro, accel = stack(frame, "gyro_{}_radps", "xyz"), stack(frame, "accel_{}_mps2", "xyz")
         imu = ImuSamples(frame["time_s"].to_numpy(), gyro, accel, specs.from_dict(ImuSpec, meta["spec"]))
         gnss, mag, baro = None, None, None
         if (folder / "gnss.parquet").exists():
-            frame, other = _read(folder / "gnss.parquet", "SensorLog.gnss")
+            frame, other = read_table(folder / "gnss.parquet", "SensorLog.gnss")
             gnss = GnssFixes(
                 t=frame["time_s"].to_numpy(),
                 lat=frame["lat_rad"].to_numpy(),
                 lon=frame["lon_rad"].to_numpy(),
                 h=frame["alt_m"].to_numpy(),
-                v_n=_stack(frame, "v_{}_mps", ("north", "east", "down")),
+                v_n=stack(frame, "v_{}_mps", ("north", "east", "down")),
                 spec=specs.from_dict(GnssSpec, other["spec"]),
                 outages=tuple((a, b) for a, b in other["outages"]),
-                std=_stack(frame, "std_{}", range(6)) if "std_0" in frame else None,
+                std=stack(frame, "std_{}", range(6)) if "std_0" in frame else None,
             )
         if (folder / "mag.parquet").exists():
-            frame, other = _read(folder / "mag.parquet", "SensorLog.mag")
-            values = _stack(frame, "mag_{}_ut", "xyz")
+            frame, other = read_table(folder / "mag.parquet", "SensorLog.mag")
+            values = stack(frame, "mag_{}_ut", "xyz")
             mag = MagSamples(frame["time_s"].to_numpy(), values, specs.from_dict(MagSpec, other["spec"]))
         if (folder / "baro.parquet").exists():
-            frame, other = _read(folder / "baro.parquet", "SensorLog.baro")
+            frame, other = read_table(folder / "baro.parquet", "SensorLog.baro")
             spec = specs.from_dict(BaroSpec, other["spec"])
             baro = BaroSamples(frame["time_s"].to_numpy(), frame["pressure_pa"].to_numpy(), spec)
         return cls(imu, InitialState(**initial), gnss, mag, baro, meta["name"])
@@ -338,28 +338,28 @@ class NavSolution:
         """Columns as in `Trajectory`, then biases and ``std_`` + state name where the estimator gives them."""
         import pandas as pd
 
-        columns = _pva_columns(self.t, self.lat, self.lon, self.h, self.v_n, self.q_nb)
+        table = pva_columns(self.t, self.lat, self.lon, self.h, self.v_n, self.q_nb)
         if self.accel_bias is not None:
-            columns |= _columns("accel_bias_{}_mps2", "xyz", self.accel_bias)
+            table |= columns("accel_bias_{}_mps2", "xyz", self.accel_bias)
         if self.gyro_bias is not None:
-            columns |= _columns("gyro_bias_{}_radps", "xyz", self.gyro_bias)
+            table |= columns("gyro_bias_{}_radps", "xyz", self.gyro_bias)
         if self.std is not None:
-            columns |= _columns("std_{}", STATE_NAMES, self.std)
-        return pd.DataFrame(columns)
+            table |= columns("std_{}", STATE_NAMES, self.std)
+        return pd.DataFrame(table)
 
     def save(self, path: str | Path) -> None:
         """Write Parquet: the table of `to_frame` (innovations, snapshots and extras are not kept)."""
-        _write(self.to_frame().assign(**_exact_columns(self)), path, "NavSolution", {})
+        write_table(self.to_frame().assign(**exact_columns(self.lat, self.lon, self.q_nb)), path, "NavSolution", {})
 
     @classmethod
     def load(cls, path: str | Path) -> NavSolution:
         """Read what `save` wrote."""
-        frame, _ = _read(path, "NavSolution")
+        frame, _ = read_table(path, "NavSolution")
         return cls(
-            **_read_pva(frame),
-            accel_bias=_stack(frame, "accel_bias_{}_mps2", "xyz") if "accel_bias_x_mps2" in frame else None,
-            gyro_bias=_stack(frame, "gyro_bias_{}_radps", "xyz") if "gyro_bias_x_radps" in frame else None,
-            std=_stack(frame, "std_{}", STATE_NAMES) if "std_" + STATE_NAMES[0] in frame else None,
+            **read_pva(frame),
+            accel_bias=stack(frame, "accel_bias_{}_mps2", "xyz") if "accel_bias_x_mps2" in frame else None,
+            gyro_bias=stack(frame, "gyro_bias_{}_radps", "xyz") if "gyro_bias_x_radps" in frame else None,
+            std=stack(frame, "std_{}", STATE_NAMES) if "std_" + STATE_NAMES[0] in frame else None,
         )
 
 
@@ -386,64 +386,3 @@ def _check(
         if finite and not np.isfinite(values).all():
             k = int(np.argmin(np.isfinite(values).reshape(len(t), -1).all(axis=1)))
             raise InputError(f"{what}: '{name}' is not finite at sample {k} (t = {t[k]:.6g} s)")
-
-
-def _columns(pattern: str, names: Any, values: Array) -> dict[str, Array]:
-    return {pattern.format(name): values[:, i] for i, name in enumerate(names)}
-
-
-def _stack(frame: pd.DataFrame, pattern: str, names: Any) -> Array:
-    return np.column_stack([frame[pattern.format(name)].to_numpy() for name in names])
-
-
-def _exact_columns(record: Trajectory | NavSolution) -> dict[str, Array]:
-    return _columns("q_nb_{}", range(4), record.q_nb) | {"lat_rad": record.lat, "lon_rad": record.lon}
-
-
-def _pva_columns(t: Array, lat: Array, lon: Array, h: Array, v_n: Array, q_nb: Array) -> dict[str, Array]:
-    from testbed.rotations import quats_to_eulers
-
-    euler = np.degrees(quats_to_eulers(q_nb))
-    place = {"time_s": t, "lat_deg": np.degrees(lat), "lon_deg": np.degrees(lon), "alt_m": h}
-    velocity = _columns("v_{}_mps", ("north", "east", "down"), v_n)
-    return place | velocity | _columns("{}_deg", ("roll", "pitch", "yaw"), euler)
-
-
-def _read_pva(frame: pd.DataFrame) -> dict[str, Any]:
-    def angle(name: str) -> Array:
-        exact = f"{name}_rad"
-        return frame[exact].to_numpy() if exact in frame else np.radians(frame[f"{name}_deg"].to_numpy())
-
-    return {
-        "t": frame["time_s"].to_numpy(),
-        "lat": angle("lat"),
-        "lon": angle("lon"),
-        "h": frame["alt_m"].to_numpy(),
-        "v_n": _stack(frame, "v_{}_mps", ("north", "east", "down")),
-        "q_nb": _stack(frame, "q_nb_{}", range(4)),
-    }
-
-
-def _write(frame: pd.DataFrame, path: str | Path, kind: str, meta: dict[str, Any]) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    table = pa.Table.from_pandas(frame, preserve_index=False)
-    header = {"testbed": json.dumps({"kind": kind} | meta).encode()}
-    pq.write_table(table.replace_schema_metadata(header), path)
-
-
-def _read(path: str | Path, kind: str) -> tuple[pd.DataFrame, dict[str, Any]]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        table = pq.read_table(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (pa.ArrowInvalid, OSError) as error:
-        raise InputError(f"{path}: not a readable Parquet file ({error})") from None
-    meta = json.loads((table.schema.metadata or {}).get(b"testbed", b"{}"))
-    if meta.get("kind") != kind:
-        raise InputError(f"{path}: holds {meta.get('kind') or 'no record of the testbed'}, expected {kind}")
-    return table.to_pandas(), meta
