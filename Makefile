@@ -19,7 +19,7 @@ lint: setup
 	$(BIN)/mypy
 
 bench: setup
-	$(BIN)/python -m pytest tests/benchmarks --benchmark-only --benchmark-columns=min,median,rounds --benchmark-sort=name
+	$(BIN)/python reports/benchmarks.py
 
 reports: setup
 	$(BIN)/python reports/make.py

@@ -3,7 +3,7 @@
 Error states, all in b: attitude (3, rad), gyro bias (3), linear acceleration (3), magnetic disturbance (3), each "true
 minus estimate". z = [g_accel - g_gyro; m_mag - m_gyro] (6) after the AHRS paper (2022). SI units, fields in µT.
 
-``state`` is [q_nb (4), gyro bias, linear acceleration, magnetic disturbance]; ``model`` (11) is `MODEL`'s columns. The
+``state`` is [q_nb (4), gyro bias, linear acceleration, magnetic disturbance]; ``model`` (14) is `MODEL`'s columns. The
 gain is kept transposed, (6,12), so that every inner loop runs over twelve contiguous numbers.
 """
 
@@ -26,6 +26,9 @@ MODEL = (
     "mag_decay",
     "interval",  # s
     "gravity",  # m/s²
+    "turn_inflation",  # variance of new linear acceleration across the speed per (rad/s)² of turn; 0: none
+    "residual_inflation",  # the same along x per (m/s²)² that is seen of it; 0: none
+    "averaging",  # weight of a new sample in the means of both
 )
 
 
@@ -85,6 +88,23 @@ def observe(state, accel, mag, has_mag, field_n, model, z, seen):
         else:
             seen[3 + i] = 0.0
             z[3 + i] = 0.0
+
+
+@njit(cache=True)
+def inflate(p, gyro, accel, state, seen, model, slow):
+    """Raise the variance of linear acceleration, axis by axis, by what shows that there is some: turns and residuals.
+
+    In a turn at speed V along x there is V w_z along y and V w_y along z. Along x the residual of the accelerometer tells,
+    where it is larger than the filter's doubt about its attitude explains (Suh 2010, doi:10.1109/TIM.2010.2047157).
+    ``slow`` (3) keeps the means of that residual (m/s²), w_y and w_z (rad/s): the square of a mean leaves noise out.
+    """
+    slow[0] += model[13] * (-accel[0] - seen[0] - slow[0])
+    slow[1] += model[13] * (gyro[1] - state[5] - slow[1])
+    slow[2] += model[13] * (gyro[2] - state[6] - slow[2])
+    doubt = seen[2] ** 2 * p[1, 1] + seen[1] ** 2 * p[2, 2] - 2.0 * seen[1] * seen[2] * p[1, 2]
+    p[6, 6] += model[12] * max(0.0, slow[0] ** 2 - doubt)
+    p[7, 7] += model[11] * slow[2] ** 2
+    p[8, 8] += model[11] * slow[1] ** 2
 
 
 @njit(cache=True)
@@ -183,12 +203,13 @@ def filter_log(gyro, accel, mag, mag_row, field_n, model, state, p, stride, stat
     ``mag_row`` (N,) is the row of ``mag`` that arrives with a sample, or -1. Out: ``states`` (N,13), ``std`` (N,3)
     attitude in n; every ``stride``-th sample ``snapshot`` (M,12,12), ``z_kept`` (M,6), ``s_kept`` (M,6,6).
     """
-    z, seen, x = np.zeros(6), np.zeros(6), np.zeros(12)
+    z, seen, x, slow = np.zeros(6), np.zeros(6), np.zeros(12), np.zeros(3)
     s, y, k = np.zeros((6, 6)), np.zeros((6, 12)), np.zeros((6, 12))
     for n in range(len(gyro)):
         has_mag = mag_row[n] >= 0
         predict(state, p, gyro[n], model)
         observe(state, accel[n], mag[max(mag_row[n], 0)], has_mag, field_n, model, z, seen)
+        inflate(p, gyro[n], accel[n], state, seen, model, slow)
         kalman_gain(p, seen, has_mag, model, s, y, k)
         weigh(k, z, x)
         correct(state, x)

@@ -45,17 +45,22 @@ class AhrsKf:
 
     The noise of the sensors comes from their specifications times the ``_scale`` parameters (1 is the data sheet).
     Linear acceleration and magnetic disturbance are first-order Gauss-Markov processes in b: sigma and correlation time.
-    The defaults are the best of a search on training flights of the scenario ahrs-lstm-2022.
+    The defaults are the best of a search on training flights of ahrs-lstm-2022 (reports/ahrs_filters.py).
     """
 
-    linear_accel_mps2: float = 10.5
-    linear_accel_time_s: float = 0.027
-    mag_disturbance_ut: float = 0.88
-    mag_disturbance_time_s: float = 12000.0
-    gyro_noise_scale: float = 1.48
-    gyro_bias_scale: float = 0.11
-    accel_noise_scale: float = 0.33
-    mag_noise_scale: float = 8.2
+    linear_accel_mps2: float = 10.7
+    linear_accel_time_s: float = 0.0162
+    mag_disturbance_ut: float = 0.61
+    mag_disturbance_time_s: float = 12300.0
+    gyro_noise_scale: float = 1.56
+    gyro_bias_scale: float = 0.149
+    accel_noise_scale: float = 0.496
+    mag_noise_scale: float = 9.06
+    turn_speed_mps: float = 0.0
+    """Above 0 the filter adapts to turns: sigma of linear acceleration across the speed per rate of turn."""
+    residual_factor: float = 0.0
+    """Above 0 it adapts to the accelerometer's residual along x: sigma of linear acceleration there per mean residual."""
+    adaption_average_s: float = 1.0
 
     name: ClassVar[str] = "ahrs-kf"
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = {
@@ -75,6 +80,11 @@ class AhrsKf:
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < math.inf:
                 raise InputError(f"{self.name}: {key} = {value!r}, must be a positive number")
+        for key in ("turn_speed_mps", "residual_factor"):
+            if not 0.0 <= getattr(self, key) < math.inf:
+                raise InputError(f"{self.name}: {key} = {getattr(self, key)!r}, must not be negative")
+        if not 0.0 < self.adaption_average_s < math.inf:
+            raise InputError(f"{self.name}: adaption_average_s = {self.adaption_average_s!r}, must be positive")
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no magnetometer."""
@@ -105,6 +115,7 @@ class AhrsKf:
         wander = 2.0 * gyro.gauss_markov_sigma() ** 2 / gyro.correlation_time_s + gyro.rate_random_walk**2
         accel_decay = math.exp(-dt / self.linear_accel_time_s)
         mag_decay = math.exp(-dt / self.mag_disturbance_time_s)
+        adaption = (self.turn_speed_mps, self.residual_factor)
         return np.array(
             [
                 gyro_sigma**2,
@@ -118,6 +129,8 @@ class AhrsKf:
                 mag_decay,
                 dt,
                 gravity(log.initial.lat, log.initial.h),
+                *(np.square(adaption) * (1.0 - accel_decay**2)),
+                1.0 - math.exp(-dt / self.adaption_average_s),
             ]
         )
 

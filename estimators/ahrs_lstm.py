@@ -1,11 +1,12 @@
-"""`ahrs-lstm`: `ahrs-kf` with a gain that an LSTM network corrects at every sample.
+"""`ahrs-lstm`: `ahrs-kf` with a gain that an LSTM network corrects.
 
 "AHRS with LSTM-corrected Kalman gain" (2022): 90 inputs (z 6, x 12, K 72), a linear layer, two LSTM layers of 200, a
-linear layer to the 72 elements of the gain. Here the last layer gives a residual, K + scale * output, and starts at zero:
-the untrained network is `ahrs-kf` itself. Training: `estimators.ahrs_training`; loop: `estimators.ahrs_lstm_kernels`.
+linear layer to the 72 elements of the gain. Here the last layer gives the logarithm of what each element is multiplied
+by, and starts at zero: the untrained network is `ahrs-kf` itself. Training: `estimators.ahrs_training`; loop:
+`estimators.ahrs_lstm_kernels`.
 
-The paper's "activation" is read as that of the linear input layer (``sigmoid`` or ``linear``); the LSTM layers are
-ordinary ones, with logistic gates and tanh cells.
+Read into the paper: its "activation" is that of the linear input layer (``sigmoid`` or ``linear``), the LSTM layers are
+ordinary ones. Departures: the network steps at 5 Hz, not at each sample of 50 Hz, and its inputs are compressed (asinh).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.ahrs_kf import AhrsKf, Array
+from estimators.ahrs_kf import AhrsKf, Array, interval
 from testbed.errors import InputError
 from testbed.records import NavSolution, SensorLog
 
@@ -28,13 +29,15 @@ Single = NDArray[np.float32]
 SHIPPED = Path(__file__).parent / "weights" / "ahrs-lstm.safetensors"
 UNTRAINED = "untrained"
 ACTIVATIONS = ("sigmoid", "linear")
+STEP_S = 0.2
+"""Time between two steps of the network unless its weights say otherwise."""
 
 
 class Network(NamedTuple):
     """The network as the compiled step takes it (see `ahrs_lstm_kernels`); matrices are (inputs, outputs)."""
 
-    mean: Single
-    inverse_std: Single
+    centre: Single
+    inverse_unit: Single
     w_in: Single
     b_in: Single
     curved: bool
@@ -45,10 +48,10 @@ class Network(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """A stored network: the arrays, the unit of each gain residual (72,), the filter that it corrects, and its history."""
+    """A stored network: the arrays, its step (s), the parameters of the filter that it corrects, and its history."""
 
     network: Network
-    scale: Array
+    step_s: float
     filter: dict[str, float]
     metadata: dict[str, Any]
 
@@ -63,19 +66,7 @@ class AhrsLstm:
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError without magnetometer or weights."""
-        from estimators.ahrs_lstm_kernels import filter_log_corrected
-
-        loaded = load_weights(self.weights)
-        changed: list[Array] = []
-
-        def loop(arguments: tuple[Any, ...]) -> None:
-            changed.append(np.zeros(len(arguments[-1])))
-            filter_log_corrected(*arguments, tuple(loaded.network), loaded.scale, changed[0])
-
-        solution = AhrsKf(**loaded.filter).solve(log, loop)
-        assert solution.covariance_t is not None
-        extras = dict(solution.extras) | {"gain_change": (solution.covariance_t, changed[0])}
-        return NavSolution(**(vars(solution) | {"extras": extras}))
+        return solve_with(load_weights(self.weights), log)
 
     @staticmethod
     def train(*arguments: Any, **settings: Any) -> Path:
@@ -83,6 +74,27 @@ class AhrsLstm:
         from estimators.ahrs_training import train
 
         return train(*arguments, **settings)
+
+
+def solve_with(weights: Weights, log: SensorLog) -> NavSolution:
+    """The filter's answer with this network; the extra ``gain_change`` is the size of its change, rms of the logarithm."""
+    from estimators.ahrs_lstm_kernels import filter_log_corrected
+
+    changed: list[Array] = []
+
+    def loop(arguments: tuple[Any, ...]) -> None:
+        changed.append(np.zeros(len(arguments[-1])))
+        filter_log_corrected(*arguments, tuple(weights.network), samples_per_step(weights, log), changed[0])
+
+    solution = AhrsKf(**weights.filter).solve(log, loop)
+    assert solution.covariance_t is not None
+    extras = dict(solution.extras) | {"gain_change": (solution.covariance_t, changed[0])}
+    return NavSolution(**(vars(solution) | {"extras": extras}))
+
+
+def samples_per_step(weights: Weights, log: SensorLog) -> int:
+    """IMU samples between two steps of the network."""
+    return max(1, round(weights.step_s / interval(log)))
 
 
 @lru_cache(maxsize=4)
@@ -105,17 +117,17 @@ def load_weights(weights: str) -> Weights:
 
 
 def assemble(arrays: dict[str, Any], metadata: dict[str, Any]) -> Weights:
-    """Weights from arrays named as torch names them: ``input``, ``lstm.K``, ``head``, and ``mean``, ``std``, ``scale``."""
-    layers = sum(key.endswith("weight_ih") for key in arrays)
-    joined = [np.hstack([arrays[f"lstm.{k}.weight_ih"], arrays[f"lstm.{k}.weight_hh"]]).T for k in range(layers)]
-    biases = [arrays[f"lstm.{k}.bias_ih"] + arrays[f"lstm.{k}.bias_hh"] for k in range(layers)]
+    """Weights from arrays named as torch names them: ``input``, ``lstm``, ``head``, and ``centre``, ``unit``."""
+    layers = range(sum(key.startswith("lstm.weight_ih") for key in arrays))
+    joined = [np.hstack([arrays[f"lstm.weight_ih_l{k}"], arrays[f"lstm.weight_hh_l{k}"]]).T for k in layers]
+    biases = [arrays[f"lstm.bias_ih_l{k}"] + arrays[f"lstm.bias_hh_l{k}"] for k in layers]
 
     def single(values: Any) -> Single:
         return np.ascontiguousarray(values, dtype=np.float32)
 
     network = Network(
-        single(arrays["mean"]),
-        single(1.0 / arrays["std"]),
+        single(arrays["centre"]),
+        single(1.0 / arrays["unit"]),
         single(arrays["input.weight"].T),
         single(arrays["input.bias"]),
         metadata["activation"] == "sigmoid",
@@ -124,7 +136,7 @@ def assemble(arrays: dict[str, Any], metadata: dict[str, Any]) -> Weights:
         single(arrays["head.weight"].T),
         single(arrays["head.bias"]),
     )
-    return Weights(network, np.asarray(arrays["scale"], dtype=np.float64), metadata["filter"], metadata)
+    return Weights(network, float(metadata["step_s"]), metadata["filter"], metadata)
 
 
 def untrained_weights(layers: int = 2, neurons: int = 200, seed: int = 0) -> Weights:
@@ -145,4 +157,4 @@ def untrained_weights(layers: int = 2, neurons: int = 200, seed: int = 0) -> Wei
         np.zeros((neurons, 72), np.float32),
         np.zeros(72, np.float32),
     )
-    return Weights(network, np.ones(72), {}, {})
+    return Weights(network, STEP_S, {}, {})

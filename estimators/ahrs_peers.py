@@ -75,6 +75,8 @@ class Mahony(_Peer):
 
     def __post_init__(self) -> None:
         _require(self, ("proportional", "integral"))
+        if self.integral == 0.0:
+            raise InputError("mahony: integral = 0, the package asks for a number above zero")
 
     def _track(self, gyro: Array, accel: Array, mag: Array, log: SensorLog) -> Array:
         assert log.mag is not None

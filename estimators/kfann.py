@@ -6,7 +6,7 @@ open-loop filter of `lkf9`. NED, SI units and radians; errors are INS minus GNSS
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -118,9 +118,7 @@ class Kfann(Learner):
             std = np.tile(self._std(ins, real, known, networks, 1.0 / gnss.spec.rate_hz), (len(times), 1))
             parts.append(Measurements(times, value, std, np.full(len(times), 0 if self.velocity else 3)))
             outputs.append((times, value))
-        order = np.argsort(np.concatenate([part.t for part in parts]), kind="stable")
-        fed = Measurements(*(np.concatenate([getattr(p, key) for p in parts])[order] for key in vars(real)))
-        return _with(run_filter(self, log, ins, fed), ins, outputs)
+        return _with(run_filter(self, log, ins, in_order(parts)), ins, outputs)
 
     def _std(self, ins: FreeIns, real: Measurements, known: Mask, networks: Networks, step: float) -> Array:
         if self.pseudo_noise == "gnss":
@@ -144,6 +142,12 @@ def outages_of(gnss: GnssFixes, ins: FreeIns) -> list[tuple[float, float, Array]
         missed = edges[k] + step * np.arange(1, round((edges[k + 1] - edges[k]) / step))
         out.append((float(edges[k]), float(edges[k + 1]), missed[missed <= ins.t[-1]]))
     return out
+
+
+def in_order(parts: Sequence[Measurements]) -> Measurements:
+    """Fixes and pseudo-measurements as one sequence in time order."""
+    order = np.argsort(np.concatenate([part.t for part in parts]), kind="stable")
+    return Measurements(*(np.concatenate([getattr(p, key) for p in parts])[order] for key in vars(parts[0])))
 
 
 def enough(fixes: int, settings: Learner) -> bool:

@@ -190,8 +190,8 @@ class NarxAiding:
         outputs: list[tuple[Array, Array]] = []
         limits: list[tuple[float, int]] = []
         for stretch in flight.plan():
-            if stretch.kind == "lesson":
-                drift = flight.lesson(stretch)
+            if stretch.kind == "lesson" and (networks is None or self.online_epochs):
+                drift = flight.lesson(stretch, spread=networks is None)
                 seen = [*seen, drift][-self.online_windows :]
                 if networks is None:
                     networks = (
@@ -309,11 +309,14 @@ class _Flight:
         """The first IMU row after a time."""
         return int(np.searchsorted(self.task.t, time + 1e-6, "right"))
 
-    def lesson(self, stretch: Stretch) -> Drift:
-        """Run both copies through a stretch with GNSS; what the free one lacked is the target."""
+    def lesson(self, stretch: Stretch, spread: bool = True) -> Drift:
+        """Run both copies through a stretch with GNSS; what the free one lacked is the target.
+
+        ``spread``: whether the drift's variance is wanted, which costs as much as all the rest.
+        """
         free, first, rows = self.main.fork(), self.main.x.copy(), slice(self.main.row, stretch.end)
         main, _ = self.main.run_to(stretch.end, self.fixes, keep=True)
-        drift = self._drift(stretch, first, *free.run_to(stretch.end), rows)
+        drift = self._drift(stretch, first, free, rows, spread)
         y = np.vstack(
             [np.zeros(6), self.settings.lacking(self, stretch.t[1:], _at(stretch.t[1:], self.task.t[rows], main))]
         )
@@ -322,14 +325,18 @@ class _Flight:
     def free_drift(self, stretch: Stretch) -> Drift:
         """Run the free copy alone through an outage."""
         first, rows = self.main.x.copy(), slice(self.main.row, stretch.end)
-        return self._drift(stretch, first, *self.main.fork().run_to(stretch.end), rows)
+        return self._drift(stretch, first, self.main.fork(), rows, spread=False)
 
-    def _drift(self, stretch: Stretch, first: Array, states: Array, variances: Array, rows: slice) -> Drift:
-        t, grid = stretch.t, self.task.t[rows]
+    def _drift(self, stretch: Stretch, first: Array, free: WorkingCopy, rows: slice, spread: bool) -> Drift:
+        t, grid, unknown = stretch.t, self.task.t[rows], np.full((len(stretch.t), 6), np.nan)
+        if spread:
+            states, variances = free.run_to(stretch.end)
+            variance = np.vstack([np.zeros(6), _at(t[1:], grid, variances[:, :9])[:, :6]])
+        else:
+            states, variance = free.coast_to(stretch.end), unknown
         at = np.vstack([first, _at(t[1:], grid, states)])
         self.free_states, self.free_readings = at, self._antenna(at, t)
-        spread = np.vstack([np.zeros(6), _at(t[1:], grid, variances[:, :9])[:, :6]])
-        return Drift.of(t - t[0], at, np.full((len(at), 6), np.nan), spread)
+        return Drift.of(t - t[0], at, unknown, variance)
 
     def _antenna(self, states: Array, t: Array) -> Array:
         """What the receiver would read (E,6) in these states (E,15)."""

@@ -40,7 +40,7 @@ class Drift:
     u: Array
     y: Array
     variance: Array
-    """(E,6): what the free copy's covariance says of ``y``."""
+    """(E,6): what the free copy's covariance says of ``y``; NaN where it was not computed."""
 
     @classmethod
     def of(cls, t: Array, states: Array, y: Array, variance: Array) -> Drift:

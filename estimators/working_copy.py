@@ -75,6 +75,16 @@ class WorkingCopy:
             self.row = stop
         return states, variances
 
+    def coast_to(self, row: int) -> Array:
+        """Run the EKF's mechanization alone up to, not including, ``row``; returns states (rows,15). P stays behind."""
+        from estimators.narx_kernels import coast
+
+        task, first = self.task, self.row
+        states = np.empty((row - first, 15))
+        coast(float(task.t[first - 1]) if first else task.start, task.t, task.imu, first, self.x, task.setting, states)
+        self.row = row
+        return states
+
     def _filter(self, stop: int, fixes: Fixes | None, states: Array, variances: Array, snapshots: Array) -> None:
         from estimators import direct_kernels, strong_tracking, ukf_kernels
 

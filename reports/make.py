@@ -1,7 +1,7 @@
 """Make the committed reports again: sensors, and every paper scenario in its profile ``report`` (``make reports``).
 
 Results go to ``results/report/``; what a reader looks at (page, text, figures, tables) is copied to ``reports/NAME/``.
-Give names to make only those: ``python reports/make.py imm-rstekf-2023``. With ``--resume`` runs that are stored are kept.
+Give names to make only those: ``python reports/make.py imm-rstekf-2023``. With ``--resume`` runs and studies that are stored are kept.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+
+import pictures
 
 ROOT = Path(__file__).resolve().parent
 RESULTS = ROOT.parent / "results" / "report"
@@ -24,8 +26,12 @@ SCENARIOS: dict[str, list[str | None]] = {
         "as-stated-3",
         "regressors",
     ],
+    "narx-ukf-2021": [None, "bias-blind"],
+    "ahrs-lstm-2022": [None],
 }
 """Paper scenarios and the variants that are reported (None: as the file stands)."""
+RUNS = {"narx-ukf-2021-bias-blind": 20}
+"""Of a report that needs fewer runs than the scenario's profile has: half a minute each, and effects far above the noise."""
 KEPT = (
     "report.html",
     "report.md",
@@ -53,6 +59,9 @@ def main(names: list[str]) -> None:
                 make(name, variant, resume)
             if name in STUDIES:
                 STUDIES[name](resume)
+    if not names or "ipo-2022" in names:
+        ipo_studies()
+    print(f"figures: {pictures.shrink(ROOT) / 1e6:.1f} MB")
     made = sorted(path.parent for path in ROOT.glob("*/manifest.json"))
     if made:
         render_index(made, ROOT)
@@ -70,7 +79,7 @@ def make(name: str, variant: str | None, resume: bool = False) -> None:
     scenario = load_scenario(name, profile=profile, variant=variant)
     with progress_line(folder) as tell:
         known = resume and (RESULTS / folder / "manifest.json").is_file()
-        run(scenario, RESULTS / folder, progress=tell, resume=known)
+        run(scenario, RESULTS / folder, runs=RUNS.get(folder), progress=tell, resume=known)
     findings = ROOT / folder / "findings.md"
     if findings.is_file():
         shutil.copy(findings, RESULTS / folder / "findings.md")
@@ -85,16 +94,63 @@ def make(name: str, variant: str | None, resume: bool = False) -> None:
 
 
 def kfann_studies(resume: bool) -> None:
-    """Map over outage length and gyro bias, and the networks' output beside the error that they should give."""
+    """Map over outage length and gyro bias, what else to feed the filter with, and the networks' output beside the error."""
+    import kfann_fed
     import kfann_maps
 
     kfann_maps.make_maps(RESULTS / "kfann-2018-map", ROOT / "kfann-2018", resume, announce=print)
+    kfann_fed.make_table(RESULTS / "kfann-2018-fed", ROOT / "kfann-2018", resume, announce=print)
     for folder in ("kfann-2018", "kfann-2018-magnitude-matched"):
         figure = kfann_maps.draw_network_output(RESULTS / folder)
         figure.savefig(ROOT / folder / "network-output.png", dpi=120, metadata={"Software": None})
 
 
-STUDIES: dict[str, Callable[[bool], None]] = {"kfann-2018": kfann_studies}
+def narx_studies(resume: bool) -> None:
+    """What grows in an outage, what the networks can learn of it, and whether a bad start tells UKF from EKF."""
+    import narx_lessons
+    import outage_growth
+
+    own, blind = ROOT / "narx-ukf-2021", ROOT / "narx-ukf-2021-bias-blind"
+    wide = {"initial.yaw_deg": 40.0, "initial.roll_pitch_deg": 5.0}
+    studies: dict[Path, Callable[[], Path]] = {
+        own / "outage-growth.md": lambda: outage_growth.write_growth(own),
+        own / "outage-growth-no-scale-factor.md": lambda: outage_growth.write_growth(
+            own, "no-scale-factor", name="no-scale-factor"
+        ),
+        own / "outage-growth-wide-start.md": lambda: outage_growth.write_growth(own, None, wide, "wide-start"),
+        blind / "outage-growth.md": lambda: outage_growth.write_growth(blind, "bias-blind"),
+        own / "lessons.md": lambda: narx_lessons.write_lessons(own),
+        blind / "lessons.md": lambda: narx_lessons.write_lessons(blind, "bias-blind"),
+    }
+    for path, write in studies.items():
+        if not (resume and path.is_file()):
+            print(path.relative_to(ROOT))
+            write()
+
+
+def ahrs_studies(resume: bool) -> None:
+    """Allan table, cruise and loiter, structures, other units and aircraft, nine hours, learning curve."""
+    import ahrs_studies as studies
+
+    studies.make_studies(resume)
+
+
+def ipo_studies() -> None:
+    """The page of the tuning studies from what ``reports/ipo-2022/studies`` keeps, or from newer searches in ``results``.
+
+    The searches themselves take hours: ``testbed tune ipo-2022 --algorithms ga,pso,ipo,mipo,sipo,iipo --iterations 100,200
+    --out results/report/ipo-2022-tuning``, and the same with each ``--variant`` of the scenario.
+    """
+    from testbed.tuning.publish import publish
+
+    publish("ipo-2022", RESULTS, ROOT / "ipo-2022")
+
+
+STUDIES: dict[str, Callable[[bool], None]] = {
+    "ahrs-lstm-2022": ahrs_studies,
+    "kfann-2018": kfann_studies,
+    "narx-ukf-2021": narx_studies,
+}
 """What a scenario's report has beside its runs."""
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from testbed.errors import FlightError, InputError
 from testbed.flight.config import FlightConfig
@@ -34,8 +34,16 @@ ATTEMPTS = 20
 PREFIXES = {"gyro": 3, "accel": 3, "mag": 3, "q_nb": 4}
 """Column groups of a shard and their widths, after ``time_s``."""
 
-Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+def _ascending(values: list[float]) -> list[float]:
+    if values[0] > values[1]:
+        raise ValueError("the low end comes first")
+    return values
+
+
+Interval = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_ascending)]
 """Low and high."""
+Duration = Annotated[float, Field(ge=5.0, le=3600.0)]
 
 
 class DatasetConfig(Table):
@@ -55,6 +63,11 @@ class DatasetConfig(Table):
     bank_deg: Interval = [15.0, 50.0]
     radius_m: Interval = [160.0, 400.0]
     climb_rate_mps: Interval = [1.0, 2.5]
+    manoeuvre_s: Annotated[list[Duration], Field(min_length=2, max_length=2), AfterValidator(_ascending)] = [
+        20.0,
+        400.0,
+    ]
+    """How long a manoeuvre lasts; the logarithm is uniform. Climbs and descents take an eighth, loiters half as long again."""
 
 
 def dataset_config(scenario: Scenario) -> DatasetConfig:
@@ -148,9 +161,9 @@ def _draw_script(config: DatasetConfig, alt_m: float, rng: np.random.Generator) 
 def _draw_manoeuvre(config: DatasetConfig, alt_m: float, rng: np.random.Generator) -> tuple[dict[str, Any], float]:
     """A manoeuvre and about how long it takes, s."""
     kinds = ("straight", "accelerate", "turn", "loiter", "s_turn", "figure_eight", "climb", "descent")
-    kind = str(rng.choice(kinds, p=(0.2, 0.1, 0.2, 0.2, 0.1, 0.06, 0.07, 0.07)))
+    kind = str(rng.choice(kinds, p=(0.3, 0.1, 0.16, 0.16, 0.08, 0.06, 0.07, 0.07)))
     bank = _between(rng, config.bank_deg) * float(rng.choice((-1.0, 1.0)))
-    seconds = float(rng.uniform(20.0, 120.0))
+    seconds = math.exp(_between(rng, [math.log(v) for v in config.manoeuvre_s]))
     if kind == "straight":
         return {"type": kind, "duration_s": seconds}, seconds
     if kind == "accelerate":
@@ -160,14 +173,14 @@ def _draw_manoeuvre(config: DatasetConfig, alt_m: float, rng: np.random.Generato
         return {"type": kind, "bank_deg": bank, "duration_s": seconds} | climbing, seconds
     if kind == "loiter":
         radius, side = _between(rng, config.radius_m), str(rng.choice(("left", "right")))
-        return {"type": kind, "radius_m": radius, "direction": side, "duration_s": 3.0 * seconds}, 3.0 * seconds
+        return {"type": kind, "radius_m": radius, "direction": side, "duration_s": 1.5 * seconds}, 1.5 * seconds
     if kind == "s_turn":
         change = float(rng.uniform(30.0, 150.0))
         return {"type": kind, "bank_deg": bank, "heading_change_deg": change, "duration_s": seconds}, seconds
     if kind == "figure_eight":
         return {"type": kind, "bank_deg": bank, "duration_s": seconds}, seconds
     rate = _between(rng, config.climb_rate_mps)
-    return {"type": kind, "climb_rate_mps": rate, "duration_s": 0.5 * seconds}, 0.5 * seconds
+    return {"type": kind, "climb_rate_mps": rate, "duration_s": seconds / 8.0}, seconds / 8.0
 
 
 def _between(rng: np.random.Generator, interval: Sequence[float]) -> float:

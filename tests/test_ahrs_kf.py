@@ -5,14 +5,14 @@ import pytest
 from ahrs_simulation import body_errors, simulate
 from scipy.stats import chi2
 
-from estimators.ahrs_kernels import kalman_gain, observe, predict
+from estimators.ahrs_kernels import inflate, kalman_gain, observe, predict
 from estimators.ahrs_kf import AhrsKf
 from testbed.errors import InputError
 from testbed.metrics import error_series
 from testbed.records import SensorLog, Trajectory
 from testbed.rotations import attitude_errors, quat_to_matrix, rotvec_to_quat
 
-MODEL = np.array([0.01, 0.02, 0.03, 0.04, 0.5, 0.6, 0.99, 0.9, 0.95, 0.02, 9.8])
+MODEL = np.array([0.01, 0.02, 0.03, 0.04, 0.5, 0.6, 0.99, 0.9, 0.95, 0.02, 9.8, 0.0, 0.0, 0.1])
 
 
 def skew(v):
@@ -56,6 +56,32 @@ def test_the_gain_is_that_of_dense_algebra(start, has_mag):
     assert np.array_equal(p, p.T)
     if not has_mag:
         assert not k[3:].any() and not z[3:].any()
+
+
+def test_a_turn_and_a_residual_make_the_adaptive_filter_doubt_the_accelerometer(start):
+    """A steady turn about z at 0.2 rad/s says V w along y, 3 m/s² unexplained along x say so along x; nothing along z."""
+    state, p, _ = start
+    state[4:7], p[:3, :3] = 0.0, 1e-9 * np.eye(3)
+    model = np.array([*MODEL[:11], 400.0, 4.0, 0.1])
+    seen, slow, before = np.array([0.0, 0.0, 9.8, 0.0, 0.0, 0.0]), np.zeros(3), p.copy()
+    for _ in range(200):  # the means have come to rest to 0.9**200
+        p[:] = before
+        inflate(p, np.array([0.0, 0.0, 0.2]), np.array([3.0, 0.0, -9.8]), state, seen, model, slow)
+    added = np.diag(p - before)
+    np.testing.assert_allclose(added[6:9], [4.0 * 9.0, 400.0 * 0.04, 0.0], rtol=1e-6)
+    assert not added[:6].any() and not added[9:].any()
+    inflate(p, np.array([0.0, 0.0, 0.2]), np.array([3.0, 0.0, -9.8]), state, seen, MODEL, slow)
+    np.testing.assert_array_equal(np.diag(p - before), added)  # off: nothing more
+
+
+def test_a_residual_that_doubt_about_the_attitude_explains_is_not_taken_for_acceleration(start):
+    """With 0.5 rad of doubt (1 sigma) about roll and pitch, a residual of 3 m/s² is no news: 4.9 are expected."""
+    state, p, _ = start
+    p[:3, :3] = 0.25 * np.eye(3)
+    seen, before = np.array([0.0, 0.0, 9.8, 0.0, 0.0, 0.0]), p.copy()
+    model = np.array([*MODEL[:11], 0.0, 4.0, 1.0])
+    inflate(p, state[4:7], np.array([3.0, 3.0, -9.8]), state, seen, model, np.zeros(3))
+    np.testing.assert_array_equal(p, before)
 
 
 def test_without_noise_or_motion_the_attitude_stays_exact():
@@ -124,6 +150,10 @@ def test_a_log_without_magnetometer_and_a_wrong_parameter_are_refused():
         AhrsKf().run(SensorLog(log.imu, log.initial))
     with pytest.raises(InputError, match="linear_accel_time_s"):
         AhrsKf(linear_accel_time_s=0.0)
+    with pytest.raises(InputError, match="turn_speed_mps"):
+        AhrsKf(turn_speed_mps=-1.0)
+    with pytest.raises(InputError, match="adaption_average_s"):
+        AhrsKf(adaption_average_s=0.0)
 
 
 @pytest.mark.parametrize("name", ["Madgwick", "Mahony", "AhrsEkf"])
@@ -173,3 +203,12 @@ def test_no_straw_man_on_a_flight_with_a_loiter(flight):
     ours = roll_pitch_rmse(trajectory, AhrsKf(), log)
     assert ours < min(roll_pitch_rmse(trajectory, peer, log) for peer in (Madgwick(), Mahony()))
     assert ours < 1.5
+
+
+def test_knowing_turns_pays_on_a_flight_with_a_loiter(flight):
+    """The scenario's adaptive row against the tuned filter: the loiter is half of the flight, and its end is straight."""
+    from testbed.scenario import load_scenario
+
+    trajectory, log = flight
+    (entry,) = [e for e in load_scenario("ahrs-lstm-2022").estimators if e.row == "adaptive KF"]
+    assert roll_pitch_rmse(trajectory, AhrsKf(**entry.params), log) < roll_pitch_rmse(trajectory, AhrsKf(), log)

@@ -11,18 +11,27 @@ import pytest
 from synthetic import sensor_log, weaving_flight
 
 from estimators.kfann import Kfann
-from estimators.lkf9 import Lkf9
+from estimators.lkf9 import Lkf9, Measurements
 from testbed.scenario import load_scenario
 
 
-@pytest.fixture(scope="module")
-def maps():
-    path = Path(__file__).resolve().parent.parent / "reports" / "kfann_maps.py"
-    spec = importlib.util.spec_from_file_location("kfann_maps", path)
+def report_module(name: str):
+    path = Path(__file__).resolve().parent.parent / "reports" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def maps():
+    return report_module("kfann_maps")
+
+
+@pytest.fixture(scope="module")
+def fed():
+    return report_module("kfann_fed")
 
 
 @pytest.fixture(scope="module")
@@ -69,3 +78,54 @@ def test_windows_of_the_scenario_start_with_its_outage() -> None:
     assert scenario.flight.duration_s > end
     assert all(window.start == start and start < window.end <= end for window in scenario.windows)
     assert max(window.end for window in scenario.windows) == end
+
+
+def test_a_straight_line_goes_on_straight(fed) -> None:
+    """Of errors that grow evenly; what came before the last seconds does not count."""
+    t = np.arange(0.0, 80.0, 0.1)
+    rate = np.array([1.0, 2.0, 3.0, 1e-6, 2e-6, -4.0])
+    value = 5.0 + np.outer(t, rate)
+    value[t < 60.0] = 1e6
+    real = Measurements(t, value, np.ones_like(value), np.zeros(len(t), dtype=np.int64))
+    times = np.array([80.0, 110.0])
+    np.testing.assert_allclose(fed.straight_line(real, 79.9, times), 5.0 + np.outer(times, rate), rtol=1e-9)
+
+
+def test_what_the_filter_is_fed_with_decides(fed) -> None:
+    """Of one flight with a gyro bias: the table's first row is `kfann`; hidden fixes beat its networks by a factor of five
+    (as `test_extrapolation_is_what_fails` has it), and R that admits their errors loses less than the receiver's."""
+    flight, outage = weaving_flight(), (80.0, 110.0)
+    log, full = (sensor_log(flight, 1, outages, gyro_bias=1e-3) for outages in ((outage,), ()))
+    solutions = fed.answers(log, full)
+    error = {name: fed.rmse(flight, solution, *outage) for name, solution in solutions.items()}
+    assert np.array_equal(solutions["networks (KFANN NN3)"].lat, Kfann(inputs="nn3").run(log).lat)
+    assert 5.0 * error["hidden positions"] < error["networks (KFANN NN3)"]
+    assert error["networks, R their true error"] < error["networks (KFANN NN3)"]
+    assert error["no outage"] < error["hidden positions"]
+
+
+def test_the_two_logs_of_a_run_differ_by_the_outage_alone(fed) -> None:
+    """The hidden fixes are only hidden if noise and biases are those of the log without the outage, bit for bit."""
+    from testbed.sensors import sense_flight
+
+    flight = weaving_flight(120.0)
+    logs = []
+    for overrides in ({}, {"sensors.gnss.outages": []}):
+        scenario = load_scenario("kfann-2018", variant="magnitude-matched", overrides=overrides)
+        logs.append(sense_flight(scenario.sensors, scenario.initial, flight, 1, 3)[0])
+    log, full = logs
+    seen = np.isin(full.gnss.t, log.gnss.t)
+    assert 0 < (~seen).sum() < len(seen)
+    for key in ("lat", "lon", "h", "v_n"):
+        assert np.array_equal(getattr(full.gnss, key)[seen], getattr(log.gnss, key))
+    assert np.array_equal(full.imu.gyro, log.imu.gyro) and full.initial.lat == log.initial.lat
+
+
+def test_table_of_what_was_fed(fed) -> None:
+    rows = pd.DataFrame(
+        [("v", run, name, scale * (run + 1.0), 1.0) for run in range(3) for name, scale in (("a", 1.0), ("b", 10.0))],
+        columns=["variant", "run", "fed", "outage_m", "first_m"],
+    )
+    table = fed.summarise(rows).set_index("fed")
+    assert table["mean_m"].to_dict() == {"a": 2.0, "b": 20.0} and (table["runs"] == 3).all()
+    assert (table["ci_low_m"] < table["mean_m"]).all() and (table["mean_m"] < table["ci_high_m"]).all()

@@ -85,6 +85,31 @@ def test_a_second_copy_starts_where_the_first_is_and_leaves_it_alone(log):
     assert np.trace(free.p[:3, :3]) > 10 * np.trace(flight.main.p[:3, :3])  # nothing told it where it is
 
 
+def test_the_free_copy_needs_no_covariance(log):
+    """`coast_to` is the mean of `run_to` without fixes. A stretch's first sample lacks its coning correction in the latter
+    alone: under 1e-6 rad here, so under 1e-4 m/s over 30 s, and 1e-3 m."""
+    flight = _Flight(Nnckf(**SHORT), log)
+    flight.main.run_to(1037, flight.fixes)
+    with_covariance, without = flight.main.fork(), flight.main.fork()
+    states, _ = with_covariance.run_to(2537)
+    mean = without.coast_to(2537)
+    assert without.row == with_covariance.row == 2537
+    np.testing.assert_allclose(mean[:, 3:9], states[:, 3:9], atol=1e-4)
+    np.testing.assert_allclose(mean[:, :3], states[:, :3], atol=1e-3)
+    np.testing.assert_array_equal(without.x, mean[-1])
+
+
+def test_networks_that_do_not_learn_in_flight_take_no_lessons(log, lesson_log):
+    """Once trained, ``online_epochs = 0`` leaves the filter alone until the outage, with the same answer in it."""
+    still, learning = (Nnckf(**SHORT, online_epochs=epochs) for epochs in (0, 5))
+    for scheme in (still, learning):
+        scheme.fit([(lesson_log, None)])
+    filters, quiet, moved = DirectEkf().run(log), still.run(log), learning.run(log)
+    rows = quiet.t < OUTAGE[0] - 0.2  # the last fix before it, from which on the networks speak
+    np.testing.assert_allclose(quiet.v_n[rows], filters.v_n[rows], atol=1e-4)
+    assert not np.array_equal(quiet.extras["network_output"][1], moved.extras["network_output"][1])
+
+
 def test_lessons_do_not_overlap_and_keep_clear_of_the_outage(log):
     plan = list(_Flight(SCHEMES[0], log).plan())
     lessons = [(s.t[0], s.t[-1]) for s in plan if s.kind == "lesson"]
@@ -340,6 +365,16 @@ def test_training_flights_are_another_flight_with_gnss_throughout(short_scenario
     assert training_digest(moved) == training_digest(short_scenario)
 
 
+def test_distance_between_two_answers(flight, log):
+    """One answer moved up by 3 m is 3 m away at any time."""
+    from reports.outage_growth import distance_at
+
+    solution = DirectEkf().run(log)
+    np.testing.assert_allclose(
+        distance_at(solution, replace(solution, h=solution.h + 3.0), [50.0, 159.9]), 3.0, rtol=1e-9
+    )
+
+
 def test_the_parts_of_an_outage_add_up(flight):
     """Started where the filter was, a free run ends where the filter's coasting ends; from the truth, with perfect
     sensors, it ends at the truth."""
@@ -354,3 +389,29 @@ def test_the_parts_of_an_outage_add_up(flight):
     perfect = replace(log, imu=replace(log.imu, gyro=flight.w_ib_b[1:], accel=flight.f_b[1:]))
     parts = growth(flight, perfect, SensorErrors(log.imu.t, zero, zero), solution)["error_m"][0]
     assert parts[GROUPS.index("sensor errors in the outage")] < 0.01
+
+
+def test_what_is_left_of_the_drift_is_told_apart_by_window():
+    """A drift with a cause is learnt: in windows trained on, kept back and not seen the networks leave less than half of it.
+
+    The kept-back windows are every third, so with six of them larger by ten their free column is ten times the other's.
+    """
+    from types import SimpleNamespace
+
+    from reports.narx_lessons import _drift_table, _lesson_row
+
+    lessons, unseen = synthetic_drifts(18, 0), synthetic_drifts(6, 1)
+    known = [drift for k, drift in enumerate(lessons) if k % 3 != 2]
+    networks = DriftNetworks(Structure((("roll", "t"),) * 6, ((2, 1),) * 6, neurons=4)).train(
+        known, Training(epochs=100)
+    )
+    pupil = SimpleNamespace(initial_networks=lambda log: networks)
+    cells = [cell.strip() for cell in _lesson_row("row", pupil, lessons, unseen).strip("|").split("|")]
+    assert cells[0] == "row" and len(cells) == 8
+    free, left = (np.array([float(value) for value in cells[first:7:2]]) for first in (1, 2))
+    assert (left < 0.5 * free).all()
+    larger = [replace(d, y=10.0 * d.y) if k % 3 == 2 else d for k, d in enumerate(lessons)]
+    again = [cell.strip() for cell in _lesson_row("row", pupil, larger, unseen).strip("|").split("|")]
+    assert again[1] == cells[1] and float(again[3]) == pytest.approx(10.0 * free[1], rel=0.02)  # one decimal is printed
+    table = _drift_table({"one": [replace(lessons[0], y=np.full((61, 6), 3.0), variance=np.full((61, 6), 4.0))]})
+    assert table[-1] == "| one | 1 | " + " | ".join(["3.0"] * 6 + ["2.0"] * 3) + " |"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +18,9 @@ from testbed.tuning import tables, tune
 from testbed.tuning.command import tune as tune_command
 from testbed.tuning.config import tune_config
 from testbed.tuning.history import History, per_iteration
+from testbed.tuning.publish import publish
 from testbed.tuning.report import write_report
+from testbed.tuning.speed import write_speed
 
 KILLED = Path(__file__).parent / "run_tuning.py"
 RESULTS = ("searches.csv", "history.csv", "scores.csv", "heldout.csv")
@@ -63,6 +66,7 @@ def test_folder_holds_every_search(study):
     names = ["pso-0004-seed1", "sipo-0004-seed1", "de-0004-seed1", "innovations-pso-0004-seed1"]
     searches = pd.read_csv(study / "searches.csv")
     assert list(searches["search"]) == names
+    assert (searches["shared"] == 0).all()
     assert (searches["evaluations"] == 20).all()
     history = pd.read_csv(study / "history.csv")
     own = history[history["search"] == "pso-0004-seed1"]
@@ -109,6 +113,24 @@ def test_interrupt_stores_and_says_how_to_go_on(study, tmp_path):
         tune.tune(scenario(), tmp_path / "s", jobs=1)
     with pytest.raises(tune.Stopped, match="time is up"):
         tune.tune(scenario(), tmp_path / "s", jobs=1, resume=True, time_limit_s=0.0)
+    tune.tune(scenario(), tmp_path / "s", jobs=1, resume=True)
+    assert contents(tmp_path / "s") == contents(study)
+
+
+def test_complete_searches_can_be_concluded(study, tmp_path):
+    """A study that is given up after its first search has that search's tables; resumed, it is the undisturbed one."""
+
+    def interrupt(progress):
+        if progress.done > 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(InputError, match="no study"):
+        tune.conclude(scenario(), tmp_path / "s")
+    with pytest.raises(tune.Stopped):
+        tune.tune(scenario(), tmp_path / "s", jobs=1, progress=interrupt)
+    tune.conclude(scenario(), tmp_path / "s")
+    assert list(pd.read_csv(tmp_path / "s/searches.csv")["search"]) == ["pso-0004-seed1"]
+    assert "pso-0004-seed1" in write_report(tmp_path / "s", figures=False).read_text()
     tune.tune(scenario(), tmp_path / "s", jobs=1, resume=True)
     assert contents(tmp_path / "s") == contents(study)
 
@@ -176,6 +198,32 @@ def test_stalled_search_is_short(tmp_path):
     assert "test" not in set(pd.read_csv(out / "scores.csv")["set"])
 
 
+def test_a_longer_search_starts_from_a_shorter_one(tmp_path):
+    """PSO's schedule knows no end: the 6 iterations begin with the 4 that are stored. SIPO's T/t moves after the first draw."""
+    settings = {"algorithms": ["pso", "sipo"], "innovation_search": "none", "test_runs": []}
+    tune.tune(scenario(**settings), tmp_path / "s", jobs=1)
+    tune.tune(scenario(**settings, iterations=[4, 6]), tmp_path / "s", jobs=1, resume=True)
+    tune.tune(scenario(**settings, iterations=[6]), tmp_path / "alone", jobs=1)
+    assert (tmp_path / "s/best/pso-0006-seed1.toml").read_bytes() == (
+        tmp_path / "alone/best/pso-0006-seed1.toml"
+    ).read_bytes()
+    for name, shared in (("pso", 20), ("sipo", 5)):
+        short, long = (pd.read_parquet(tmp_path / f"s/evaluations/{name}-000{n}-seed1.parquet") for n in (4, 6))
+        same = (short["seconds"].to_numpy() == long["seconds"].to_numpy()[:20]).sum()
+        assert same == shared, "stored, not measured again"
+    assert list(pd.read_csv(tmp_path / "s/searches.csv")["shared"]) == [0, 0, 20, 5]
+
+
+def test_searches_abreast_are_as_alone(tmp_path):
+    """SIPO and IIPO of two lengths share passes; each result is that of the search by itself."""
+    settings = {"algorithms": ["sipo", "iipo"], "iterations": [3, 4], "innovation_search": "none", "test_runs": []}
+    tune.tune(scenario(**settings), tmp_path / "together", jobs=1)
+    for name in ("sipo-0003-seed1", "iipo-0004-seed1"):
+        tune.tune(scenario(**settings), tmp_path / name, jobs=1, only=name)
+        one, other = ((tmp_path / folder / "best" / f"{name}.toml").read_bytes() for folder in ("together", name))
+        assert one == other
+
+
 def test_iterations_of_a_history():
     frame = per_iteration(np.array([3.0, 5.0, 4.0, 2.0, 1.0]), 2)
     assert list(frame["best"]) == [3.0, 2.0, 1.0]
@@ -209,6 +257,41 @@ def test_report(study, tmp_path):
         assert (tmp_path / name).stat().st_size > 0
 
 
+def test_publish_keeps_what_the_report_needs(study, tmp_path):
+    """Two studies side by side; without the results the same page comes from what was kept."""
+    shutil.copytree(study, tmp_path / "results" / "tuned-tuning")
+    tune.tune(
+        scenario(space=[{"name": "gyro_noise_scale"}], algorithms=["pso"], innovation_search="none"),
+        tmp_path / "results" / "tuned-one-tuning",
+        jobs=1,
+    )
+    (tmp_path / "results" / "tuned-broken-tuning").mkdir()
+    out = tmp_path / "report"
+    out.mkdir()
+    (out / "speed.csv").write_text("what,table_h\none by one,20\n")
+    page = publish("tuned", tmp_path / "results", out)
+    text = page.read_text()
+    assert "Benchmark functions" not in text and "one by one" in text
+    table = pd.read_csv(out / "heldout-all.csv")
+    assert (table["row"] == "data-sheet").sum() == 1
+    assert list(table["variables"].unique()) == [6, 1]
+    assert (out / "heldout.png").stat().st_size > 0
+    assert not list(out.rglob("*.parquet"))
+    shutil.rmtree(tmp_path / "results")
+    publish("tuned", tmp_path / "results", out)
+    assert page.read_text() == text
+
+
+def test_speed_is_measured(tmp_path):
+    """Two threads share the work: the busier has less than one thread had, and processor time is within the wall time."""
+    table = pd.read_csv(write_speed(scenario(population=20), tmp_path, tries=2)).set_index(["what", "threads"])
+    assert (table["busiest_thread_s"] <= table["wall_s"] * 1.05).all()
+    assert (table["table_h"] * 3600.0 / 450_000).to_numpy() == pytest.approx(table["per_evaluation_s"], rel=1e-3)
+    if ("a population", 2) in table.index:
+        one, two = (table.loc[("a population", n), "busiest_thread_s"] for n in (1, 2))
+        assert two < one
+
+
 def test_report_needs_a_finished_study(tmp_path):
     with pytest.raises(InputError, match="no tuning study"):
         write_report(tmp_path)
@@ -225,7 +308,7 @@ def test_command(tmp_path, capsys):
         jobs=1,
     )
     captured = capsys.readouterr()
-    assert "data-sheet" in captured.out and "pso-0002-seed2" in captured.out and "findings.md" in captured.out
+    assert "data-sheet" in captured.out and "pso-0002-seed2" in captured.out and "report.md" in captured.out
     assert "left" in captured.err and "best" in captured.err
     with pytest.raises(InputError, match="whole numbers"):
         tune_command(scenario(), tmp_path / "t", iterations="many")

@@ -30,7 +30,7 @@ class Situation:
     """What guidance sees and sets: the time, the measurements of the autopilot, the place, and the targets."""
 
     aircraft: Aircraft
-    measured: NDArray[np.float64]
+    measured: memoryview[float] | NDArray[np.float64]
     target: NDArray[np.float64]
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Latitude, longitude (rad) and height (m) where the flight starts."""

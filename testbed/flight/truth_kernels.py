@@ -107,7 +107,8 @@ def imu_means(place, v, v_slope, q, q_slope, dt):
             for i in range(3):
                 force[k + 1, i] += GAUSS_WEIGHTS[node] * f[i]
                 rate[k + 1, i] += GAUSS_WEIGHTS[node] * w[i]
-    force[0], rate[0] = force[1], rate[1]
+    for i in range(3):  # element by element: numba takes seconds to compile the assignment of a row
+        force[0, i], rate[0, i] = force[1, i], rate[1, i]
     return force, rate
 
 

@@ -10,6 +10,7 @@ import io
 import json
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,17 +43,27 @@ def write_json(path: Path, data: object) -> None:
 
 
 class History:
-    """Evaluations of one search in the order asked; ``names`` (d,) are the coordinates. Saved every ``interval_s``."""
+    """Evaluations of one search in the order asked; ``names`` (d,) are the coordinates. Saved every ``interval_s``.
 
-    def __init__(self, path: Path, names: list[str], interval_s: float = 10.0) -> None:
+    ``relatives`` are files of searches that may have asked for the same at the same place, such as those of another length:
+    an algorithm without a schedule over its whole length starts a long search as it does a short one.
+    """
+
+    def __init__(self, path: Path, names: list[str], interval_s: float = 10.0, relatives: Sequence[Path] = ()) -> None:
         self.path, self.names, self.interval_s = path, names, interval_s
         self.x, self.f, self.seconds = read_evaluations(path, names) if path.exists() else _empty(len(names))
+        self._relatives = {other: read_evaluations(other, names) for other in relatives if other.exists()}
         self._replayed = 0
         self._fresh: list[tuple[Array, Array, float]] = []
         self._saved_at = time.monotonic()
 
     def __len__(self) -> int:
         return self._replayed + sum(len(f) for _, f, _ in self._fresh)
+
+    def first(self) -> tuple[Path, Array, Array] | None:
+        """A file with its first stored candidate (1,d) and value (1,): its own, else a relative's."""
+        stored = {self.path: (self.x, self.f, self.seconds), **self._relatives}
+        return next(((path, x[:1], f[:1]) for path, (x, f, _) in stored.items() if len(f)), None)
 
     def recall(self, x: Array) -> Array | None:
         """(n,) stored values of the candidates asked next, or None where the store ends.
@@ -63,7 +74,7 @@ class History:
         if self._fresh or self._replayed + n > len(self.f):
             if not self._fresh:
                 self.x, self.f, self.seconds = (a[: self._replayed] for a in (self.x, self.f, self.seconds))
-            return None
+            return self._borrow(x)
         rows = slice(self._replayed, self._replayed + n)
         if not np.array_equal(self.x[rows], x):
             raise InputError(
@@ -71,6 +82,15 @@ class History:
             )
         self._replayed += n
         return self.f[rows]
+
+    def _borrow(self, x: Array) -> Array | None:
+        """(n,) values that a relative has for the same candidates at this place, or None."""
+        rows = slice(len(self), len(self) + len(x))
+        for other_x, other_f, seconds in self._relatives.values():
+            if np.array_equal(other_x[rows], x):
+                self.add(x, other_f[rows], float(seconds[rows].sum()))
+                return other_f[rows]
+        return None
 
     def add(self, x: Array, f: Array, seconds: float) -> None:
         """Take new evaluations, which took so long together."""

@@ -1,7 +1,8 @@
 """The objective of a search: a population of candidates in, one value for each out; sensing is done once.
 
 Metrics as `testbed.metrics` names them (m, m/s, degrees), summed over metrics and cases and averaged over runs. Candidates and
-recordings are spread over threads where the estimator releases Python's lock (a method ``searcher``), else over processes.
+recordings are spread over threads where the estimator releases Python's lock (a method ``searcher``, whose result may take
+``batch_size`` candidates at once by a method ``batch``), else over processes.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from testbed.windows import Window
 DEVIANCE = "innovation_deviance"
 """Name of -2 log likelihood of the innovations per fix, up to a constant."""
 Metrics = dict[str, float]
+Task = tuple[Sequence[Mapping[str, Any]], int]
+"""Parameters of some candidates, and the recording on which they are scored."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,8 @@ class Objective:
         self._weights = np.array([1.0 / runs[r.case] for r in recordings])
         self._score, self._pool = self._path(stride)
 
-    def _path(self, stride: int) -> tuple[Callable[[tuple[Mapping[str, Any], int]], float], Executor | None]:
+    def _path(self, stride: int) -> tuple[Callable[[Task], list[float]], Executor | None]:
+        self._portion = 1
         make_searcher = getattr(estimator_class(self.estimator), "searcher", None)
         self.fast = (
             make_searcher is not None and self.window == "all" and set(self.metrics) <= {*RMSE_METRICS, DEVIANCE}
@@ -132,25 +136,34 @@ class Objective:
             return _score_in_worker, _processes(self.jobs, (self._plugins, *arguments))
         return _Scorer(*arguments), None
 
-    def _threaded(self, searchers: list[Any]) -> Callable[[tuple[Mapping[str, Any], int]], float]:
+    def _threaded(self, searchers: list[Any]) -> Callable[[Task], list[float]]:
         rows = [RMSE_METRICS.index(m) for m in self.metrics if m != DEVIANCE]
-        likelihood = float(DEVIANCE in self.metrics)
+        likelihood = DEVIANCE in self.metrics
+        self._portion = getattr(searchers[0], "batch_size", 1)
 
-        def score_one(task: tuple[Mapping[str, Any], int]) -> float:
-            params, k = task
-            rmse, deviance_value = searchers[k](make_estimator(self.estimator, **params))
-            return float(rmse[rows].sum()) + (likelihood * deviance_value if likelihood else 0.0)
+        def score_some(task: Task) -> list[float]:
+            candidates, k = task
+            made = [make_estimator(self.estimator, **params) for params in candidates]
+            score = searchers[k]
+            found = (
+                zip(*score.batch(made), strict=True) if self._portion > 1 else (score(candidate) for candidate in made)
+            )
+            return [float(rmse[rows].sum()) + (float(d) if likelihood else 0.0) for rmse, d in found]
 
-        return score_one
+        return score_some
 
     def __call__(self, x: Array) -> Array:
         """(n,d) points to (n,) values; the penalty where a candidate diverges on any recording."""
         candidates = [self.fixed | self.space.decode(row) for row in np.atleast_2d(x)]
-        tasks = [(params, k) for params in candidates for k in range(len(self.recordings))]
+        portions = [candidates[k : k + self._portion] for k in range(0, len(candidates), self._portion)]
+        tasks = [(portion, k) for k in range(len(self.recordings)) for portion in portions]
         found = map(self._score, tasks) if self._pool is None else self._pool.map(self._score, tasks)
-        values = np.array(list(found)).reshape(len(candidates), len(self.recordings))
+        values = np.concatenate(list(found)).reshape(len(self.recordings), len(candidates))
+        total = np.zeros(len(candidates))
         with np.errstate(invalid="ignore"):
-            total = values @ self._weights
+            # One after the other: a library's product may round differently with the number of candidates.
+            for weight, row in zip(self._weights, values, strict=True):
+                total += weight * row
         return np.where(np.isfinite(total), np.minimum(total, self.penalty), self.penalty)
 
     def close(self) -> None:
@@ -171,10 +184,10 @@ class _Scorer:
     def __init__(self, estimator: str, metrics: list[str], window: str, recordings: list[Recording]) -> None:
         self.estimator, self.metrics, self.window, self.recordings = estimator, metrics, window, recordings
 
-    def __call__(self, task: tuple[Mapping[str, Any], int]) -> float:
-        params, k = task
-        found = full_score(self.estimator, params, self.recordings[k], self.window)
-        return float(sum(found.get(metric, np.inf) for metric in self.metrics))
+    def __call__(self, task: Task) -> list[float]:
+        candidates, k = task
+        found = [full_score(self.estimator, params, self.recordings[k], self.window) for params in candidates]
+        return [float(sum(scores.get(metric, np.inf) for metric in self.metrics)) for scores in found]
 
 
 _worker: _Scorer | None = None
@@ -194,7 +207,7 @@ def _start_worker(
     _worker = _Scorer(estimator, metrics, window, recordings)
 
 
-def _score_in_worker(task: tuple[Mapping[str, Any], int]) -> float:
+def _score_in_worker(task: Task) -> list[float]:
     assert _worker is not None
     return _worker(task)
 

@@ -1,10 +1,11 @@
-"""The report of a tuning study: ``findings.md``, tables as CSV, figures. Reads the folder that `testbed.tuning.tune` wrote.
+"""The report of a tuning study: ``report.md``, tables as CSV, figures. Reads the folder that `testbed.tuning.tune` wrote.
 
 Objective: sum of the scenario's metrics (m, m/s, degrees). The paper's figures stand in ``[[extra.tune.paper]]``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,13 +18,12 @@ from testbed.tuning import tables
 from testbed.tuning.config import TuneConfig, tuned_entry
 from testbed.tuning.history import write_atomic
 from testbed.tuning.objective import record, scenario_space
+from testbed.tuning.speed import TABLE_EVALUATIONS
 from testbed.tuning.tune import DATA_SHEET, INNOVATIONS, read_manifest
 
 if TYPE_CHECKING:
     import pandas as pd
 
-FULL_TABLE_EVALUATIONS = 450_000
-"""The paper's whole table: six algorithms, 100 to 500 iterations, a population of 50."""
 SEEDS = 20
 PAPER_HOURS = 1140.0
 
@@ -57,10 +57,13 @@ class Study:
         return next((r.values for r in self.config.paper if (r.quantity, r.statistic) == (quantity, statistic)), {})
 
 
-def write_report(folder: str | Path, out: str | Path | None = None, figures: bool = True) -> Path:
-    """Write ``findings.md`` and its tables and figures to ``out`` (default: the study's folder); returns the text's path.
+def write_report(
+    folder: str | Path, out: str | Path | None = None, figures: bool = True, others: Sequence[Path] = ()
+) -> Path:
+    """Write ``report.md`` and its tables and figures to ``out`` (default: the study's folder); returns the text's path.
 
-    Raises InputError when the folder holds no finished study.
+    ``others`` are studies that were scored on the same unseen runs, to stand in one table with this one; what `write_speed` and
+    `write_functions` left in ``out`` is shown. Raises InputError when the folder holds no finished study.
     """
     study = Study(Path(folder))
     target = Path(out) if out is not None else study.folder
@@ -81,17 +84,20 @@ def write_report(folder: str | Path, out: str | Path | None = None, figures: boo
         "## RMSE of the best candidates on the flight they were tuned on (mean over searches)\n",
         "All statistics are in `table2.csv`; here the means.\n",
         markdown(beside[beside["quantity"].str.contains(":") & (beside["statistic"] == "mean")]),
-        "## Rank sums (lower is better)\n",
-        markdown(_rank_table(study, ranks)),
+        *(["## Rank sums (lower is better)\n", markdown(_rank_table(study, ranks))] if len(ranks) else []),
         "## On flights that the search did not see\n",
         "Objective of every result; improvement over the data sheet in %, paired over the unseen runs, 95 % interval.\n",
         markdown(study.heldout.sort_values("train", kind="stable")),
     ]
-    if (study.folder / "functions.csv").is_file():
-        parts += _functions(study.folder / "functions.csv", target)
+    if others:
+        parts += _several(study, others, target, figures)
+    if (target / "functions.csv").is_file():
+        parts += _functions(target / "functions.csv")
+    if (target / "speed.csv").is_file():
+        parts += _speed(target / "speed.csv")
     if figures:
         parts += _figures(study, target)
-    path = target / "findings.md"
+    path = target / "report.md"
     write_atomic(path, "\n".join(parts).encode())
     return path
 
@@ -99,7 +105,7 @@ def write_report(folder: str | Path, out: str | Path | None = None, figures: boo
 def write_functions(folder: str | Path, **settings: Any) -> Path:
     """Measure every algorithm on the benchmark functions (`functions.benchmark_table`) into ``functions.csv``.
 
-    A report of a study in the same folder shows it. Twice: with the minimum near the box's centre, and moved by 0.3 half widths.
+    A report that is written to this folder shows it. Twice: with the minimum near the box's centre, and moved by 0.3 half widths.
     """
     import pandas as pd
 
@@ -111,11 +117,9 @@ def write_functions(folder: str | Path, **settings: Any) -> Path:
     return path
 
 
-def _functions(path: Path, target: Path) -> list[str]:
+def _functions(path: Path) -> list[str]:
     import pandas as pd
 
-    if path.parent != target:
-        write_atomic(target / path.name, path.read_bytes())
     table = pd.read_csv(path)
     wide = table.pivot(index=["function", "shift"], columns="algorithm", values="median").reset_index()
     order = list(dict.fromkeys(table["algorithm"]))
@@ -125,6 +129,57 @@ def _functions(path: Path, target: Path) -> list[str]:
         " in half widths.\n",
         markdown(wide[["function", "shift", *order]]),
     ]
+
+
+def _speed(path: Path) -> list[str]:
+    import pandas as pd
+
+    return [
+        "## What an evaluation costs\n",
+        "Both filter runs of it, in s. ``busiest_thread_s`` is processor time: the wall time of a machine with nothing else to do. The last two"
+        f" columns come from it; ``table_h`` is the paper's whole table of {TABLE_EVALUATIONS} evaluations, in hours.\n",
+        markdown(pd.read_csv(path)),
+    ]
+
+
+def several_studies(studies: Sequence[Study]) -> pd.DataFrame:
+    """``heldout.csv`` of several studies in one table, with the variant and the variables; the data sheet wherever it differs."""
+    import pandas as pd
+
+    tables_ = [
+        study.heldout.assign(
+            study=study.manifest["variant"] or "as it stands",
+            variables=len(study.manifest["space"]),
+            flights=len(study.config.train_runs),
+        )
+        for study in studies
+    ]
+    table = pd.concat([part.sort_values("test", kind="stable") for part in tables_], ignore_index=True)
+    repeated = table["row"].eq(DATA_SHEET) & table["test"].map("{:.5g}".format).duplicated()
+    table = table[~repeated]
+    front = ["study", "variables", "flights"]
+    return table[[*front, *(c for c in table.columns if c not in front)]]
+
+
+def _several(study: Study, others: Sequence[Path], target: Path, figures: bool) -> list[str]:
+    """The held-out table over several studies, and its figure."""
+    studies = [study, *(Study(folder) for folder in others)]
+    for other in studies[1:]:
+        if other.config.test_runs != study.config.test_runs:
+            raise InputError(f"{other.folder}: was scored on other unseen runs than {study.folder}")
+    table = several_studies(studies)
+    write_atomic(target / "heldout-all.csv", table.to_csv(index=False, float_format="%.6g").encode())
+    text = [
+        "## Studies with other boxes and other training flights, on the same unseen runs\n",
+        "``train`` is the mean over the flights of that study. In each study the best by ``test`` stands first.\n",
+        markdown(table),
+    ]
+    if figures:
+        from testbed.tuning import plots
+
+        plots.heldout(table, target / "heldout.png")
+        text.append("![improvement over the data sheet on unseen runs](heldout.png)\n")
+    return text
 
 
 def comparison(study: Study) -> pd.DataFrame:
@@ -155,13 +210,14 @@ def _what_was_run(study: Study) -> str:
         f"{len(own)} searches ({per_algorithm} of each algorithm; iterations {', '.join(map(str, sorted(set(own['iterations']))))}; "
         f"population {study.config.population}; {len(study.config.cases)} case(s); seen runs {study.config.train_runs}, "
         f"unseen runs {len(study.config.test_runs)}).",
-        f"{evaluations} evaluations in {total / 3600:.2f} h, {per:.3f} s each on {study.manifest['cores']} cores"
-        " (as the machine was loaded).",
+        f"{evaluations} evaluations in {total / 3600:.2f} h, {per:.3f} s each as the machine was loaded; {int(searches['shared'].sum())} of them"
+        " are the beginning of a shorter search of the same algorithm and seed (an algorithm without a schedule over its whole length"
+        " begins a long search as it does a short one) and were made once.",
     ]
     if study.config.paper:
         lines.append(
-            f"The paper's whole table of {FULL_TABLE_EVALUATIONS} evaluations would take"
-            f" {per * FULL_TABLE_EVALUATIONS / 3600:.0f} h at this speed; the paper's took about {PAPER_HOURS:.0f} machine hours."
+            f"The paper's whole table of {TABLE_EVALUATIONS} evaluations would take"
+            f" {per * TABLE_EVALUATIONS / 3600:.0f} h at this speed; the paper's took about {PAPER_HOURS:.0f} machine hours."
         )
     if len(own) < 30 and study.config.paper:
         lines.append(
@@ -176,7 +232,7 @@ def _claims(study: Study, ranks: pd.DataFrame) -> list[str]:
     own = [a for a in study.algorithms if a in ranks.index]
     fitness = {s: study.statistics.loc[("fitness", s), own] for s in ("min", "mean", "variance")}
     several = study.lines.groupby("algorithm").size().min() > 1
-    best = {s: v.astype(float).idxmin() for s, v in fitness.items() if v.notna().all()}
+    best = {s: v.astype(float).idxmin() for s, v in fitness.items() if own and v.notna().all()}
     claimed = study.paper("fitness", "mean")
     favourite = min(claimed, key=lambda a: claimed[a]) if claimed else ""
     order = list(ranks.sort_values("rank_sum").index)
@@ -184,7 +240,7 @@ def _claims(study: Study, ranks: pd.DataFrame) -> list[str]:
     rows = ["## Claims\n"]
     if favourite in own:
         holds = all(v == favourite for v in best.values())
-        full = several and int(study.searches["evaluations"].sum()) >= FULL_TABLE_EVALUATIONS // 5
+        full = several and int(study.searches["evaluations"].sum()) >= TABLE_EVALUATIONS // 5
         verdict = (
             ("confirmed" if holds else "refuted")
             if full

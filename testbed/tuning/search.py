@@ -32,6 +32,8 @@ ALGORITHMS = {
 }
 """Name to module and function; the first six are the paper's, in its order."""
 PAPER = tuple(ALGORITHMS)[:6]
+ONE_BY_ONE = ("sipo", "iipo")
+"""These ask for one candidate at a time: such searches run abreast, so that their candidates can share a pass."""
 
 
 class Bounds(NamedTuple):

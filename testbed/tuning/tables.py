@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,8 +36,12 @@ def write_tables(
 
     names = scenario_space(scenario, config).names
     searches, histories, timings = [], [], []
+    earlier: dict[Task, Array] = {}
     for task in tasks:
         x, f, seconds = read_evaluations(folder / "evaluations" / f"{task.name}.parquet", names)
+        family = replace(task, iterations=0)
+        shared = common_start(x, earlier.get(family, x[:0]))
+        earlier[family] = x
         kind = "likelihood" if task.likelihood else "objective"
         best = int(f.argmin())
         key = {
@@ -46,7 +51,9 @@ def write_tables(
             "seed": task.seed,
             "kind": kind,
         }
-        searches.append(key | {"evaluations": len(f), "best": f[best]} | dict(zip(names, x[best], strict=True)))
+        searches.append(
+            key | {"evaluations": len(f), "shared": shared, "best": f[best]} | dict(zip(names, x[best], strict=True))
+        )
         histories.append(per_iteration(f, config.population).assign(search=task.name))
         timings.append({"search": task.name, "seconds": seconds.sum(), "seconds_per_evaluation": seconds.mean()})
     scores = _scores(folder, scenario, config, tasks, seen)
@@ -55,6 +62,13 @@ def write_tables(
     _write_csv(pd.DataFrame(timings), folder / "timings.csv")
     _write_csv(scores, folder / "scores.csv")
     _write_csv(heldout(scores, config), folder / "heldout.csv")
+
+
+def common_start(x: Array, other: Array) -> int:
+    """How many candidates two searches begin with in common: the longer one takes their values from the shorter."""
+    n = min(len(x), len(other))
+    differ = (x[:n] != other[:n]).any(axis=1)
+    return int(differ.argmax()) if differ.any() else n
 
 
 def _scores(

@@ -12,9 +12,11 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from testbed.errors import InputError, TestbedError, nearest
 from testbed.registry import load_plugin
@@ -22,7 +24,7 @@ from testbed.scenario import Scenario, dump_toml
 from testbed.tuning.config import TuneConfig, tune_config, tuned_entry
 from testbed.tuning.history import History, write_atomic, write_json
 from testbed.tuning.objective import Objective, make_objective, record, scenario_space
-from testbed.tuning.search import make_search
+from testbed.tuning.search import ONE_BY_ONE, make_search
 
 KIND = "testbed tuning"
 DATA_SHEET = "data-sheet"
@@ -106,8 +108,8 @@ def tune(
         chosen = [task for task in tasks if task.likelihood == likelihood]
         if chosen:
             with make_objective(scenario, config, recordings, likelihood, jobs, plugins) as objective:
-                for task in chosen:
-                    _search(task, config, objective, folder, deadline, meter)
+                for group in _abreast(chosen):
+                    _search(group, config, objective, folder, deadline, meter)
     if only is None:
         from testbed.tuning.tables import write_tables
 
@@ -116,52 +118,105 @@ def tune(
     return folder
 
 
+def _abreast(tasks: Sequence[Task]) -> Iterator[list[Task]]:
+    """Searches in the order in which they run: each by itself, then side by side those that ask for single candidates."""
+    single = [task for task in tasks if task.algorithm in ONE_BY_ONE]
+    yield from ([task] for task in tasks if task not in single)
+    if single:
+        yield single
+
+
+class _Course:
+    """One running search, with what it has evaluated so far."""
+
+    def __init__(self, task: Task, config: TuneConfig, objective: Objective, folder: Path) -> None:
+        self.task, self._folder, self._objective, self._config = task, folder, objective, config
+        path = folder / "evaluations" / f"{task.name}.parquet"
+        others = sorted(
+            set(path.parent.glob(replace(task, iterations=0).name.replace("0000", "*") + ".parquet")) - {path}
+        )
+        self.history = History(path, objective.space.names, relatives=others)
+        _unchanged(self.history, objective)
+        settings = config.settings.get(task.algorithm)
+        bounds = objective.space.bounds
+        self.search = make_search(task.algorithm, bounds, config.population, task.iterations, task.seed, settings)
+        self._watch = StopRule(config)
+        self.done = False
+
+    def replay(self, meter: _Meter) -> None:
+        """Go on as far as the stored values carry."""
+        while not self.done and (f := self.history.recall(self.search.ask())) is not None:
+            self.tell(f, meter)
+            meter.add(len(f), self.task.name, self.best, fresh=False)
+
+    @property
+    def best(self) -> float:
+        """The best value so far."""
+        return self._watch.best
+
+    def tell(self, f: Any, meter: _Meter) -> None:
+        """Hand values on; the end of the search writes its parameter file."""
+        self.search.tell(f)
+        stop = self._watch.stops(f)
+        self.done = stop or self.search.done
+        if self.done:
+            self._finish(meter)
+
+    def _finish(self, meter: _Meter) -> None:
+        task = self.task
+        x, f, _ = self.history.all()
+        meter.skip(task.iterations * self._config.population - len(f))
+        best = int(f.argmin())
+        what = "-2 log likelihood per fix" if task.likelihood else "objective"
+        header = f"# Best of {len(f)} evaluations by {task.name}: {what} {f[best]:.6g}\n"
+        content = (header + parameter_file(self._objective, x[best])).encode()
+        write_atomic(self._folder / "best" / f"{task.name}.toml", content)
+
+    def close(self) -> None:
+        """Store what there is."""
+        self.history.save()
+        self.search.close()
+
+
 def _search(
-    task: Task, config: TuneConfig, objective: Objective, folder: Path, deadline: float | None, meter: _Meter
+    tasks: Sequence[Task], config: TuneConfig, objective: Objective, folder: Path, deadline: float | None, meter: _Meter
 ) -> None:
-    """Run or complete one search."""
-    history = History(folder / "evaluations" / f"{task.name}.parquet", objective.space.names)
-    _unchanged(history, objective)
-    settings = config.settings.get(task.algorithm)
-    search = make_search(
-        task.algorithm, objective.space.bounds, config.population, task.iterations, task.seed, settings
-    )
-    watch = StopRule(config)
+    """Run or complete searches side by side: a round evaluates what all of them ask for."""
+    courses: list[_Course] = []
+    names = tasks[0].name + (f" and {len(tasks) - 1} beside it" if len(tasks) > 1 else "")
     try:
-        while not search.done:
-            x = search.ask()
-            f = history.recall(x)
-            fresh = f is None
-            if f is None:
-                if deadline is not None and time.monotonic() > deadline:
-                    raise Stopped(f"{folder}: time is up in {task.name}; the same command with --resume goes on")
-                start = time.perf_counter()
-                f = objective(x)
-                history.add(x, f, time.perf_counter() - start)
-            search.tell(f)
-            stop = watch.stops(f)
-            meter.add(len(f), task.name, watch.best, fresh)
-            if stop:
-                break
+        for task in tasks:
+            courses.append(_Course(task, config, objective, folder))
+            courses[-1].replay(meter)
+        while running := [course for course in courses if not course.done]:
+            if deadline is not None and time.monotonic() > deadline:
+                raise Stopped(f"{folder}: time is up in {names}; the same command with --resume goes on")
+            asked = [course.search.ask() for course in running]
+            start = time.perf_counter()
+            f = objective(np.concatenate(asked))
+            each = (time.perf_counter() - start) / len(f)
+            ends = np.cumsum([len(x) for x in asked])
+            for course, x, values in zip(running, asked, np.split(f, ends[:-1]), strict=True):
+                course.history.add(x, values, each * len(values))
+                course.tell(values, meter)
+            meter.add(len(f), names, min(course.best for course in courses), fresh=True)
+            for course in running:
+                course.replay(meter)
     except KeyboardInterrupt:
-        raise Stopped(f"{folder}: stopped in {task.name}; the same command with --resume goes on") from None
+        raise Stopped(f"{folder}: stopped in {names}; the same command with --resume goes on") from None
     finally:
-        history.save()
-        search.close()
-    x, f, _ = history.all()
-    meter.skip(task.iterations * config.population - len(f))
-    best = int(f.argmin())
-    header = f"# Best of {len(f)} evaluations by {task.name}: {'-2 log likelihood per fix' if task.likelihood else 'objective'} {f[best]:.6g}\n"
-    write_atomic(folder / "best" / f"{task.name}.toml", (header + parameter_file(objective, x[best])).encode())
+        for course in courses:
+            course.close()
 
 
 def _unchanged(history: History, objective: Objective) -> None:
     """Raise InputError when a stored candidate has another value now: flight, sensors or estimator have changed."""
-    if len(history.f):
-        now = float(objective(history.x[:1])[0])
-        if abs(now - history.f[0]) > SAME_VALUE * abs(now):
+    if stored := history.first():
+        path, x, f = stored
+        now = float(objective(x)[0])
+        if abs(now - f[0]) > SAME_VALUE * abs(now):
             raise InputError(
-                f"{history.path}: its first candidate had the objective {history.f[0]:.9g} and has {now:.9g} now: the flight, the "
+                f"{path}: its first candidate had the objective {f[0]:.9g} and has {now:.9g} now: the flight, the "
                 "sensors or the estimator have changed since; delete the folder to start anew"
             )
 
@@ -282,6 +337,20 @@ def _manifest(folder: Path, scenario: Scenario, config: TuneConfig, finished: bo
     )
 
 
-def finished_tasks(folder: Path, config: TuneConfig) -> Iterator[Task]:
-    """The searches of a study that have a result."""
-    return (task for task in tasks_of(config) if (folder / "best" / f"{task.name}.toml").is_file())
+def conclude(scenario: Scenario, out: str | Path, config: TuneConfig | None = None) -> Path:
+    """Write the tables of the searches that are complete, for a study whose other searches are given up; returns the folder.
+
+    `tune` with ``resume`` still completes it. Raises InputError when the folder holds another study or no complete search.
+    """
+    from testbed.tuning.tables import write_tables
+
+    config = config or tune_config(scenario)
+    folder, previous = Path(out), read_manifest(Path(out))
+    if previous is None or previous["identity"] != identity(scenario, config):
+        raise InputError(f"{folder}: holds no study of this scenario, space and objective")
+    tasks = [task for task in tasks_of(config) if (folder / "best" / f"{task.name}.toml").is_file()]
+    if not tasks:
+        raise InputError(f"{folder}: no search is complete; go on with testbed tune ... --resume")
+    write_tables(folder, scenario, config, tasks, record(scenario, config, config.train_runs))
+    _manifest(folder, scenario, config, finished=True)
+    return folder

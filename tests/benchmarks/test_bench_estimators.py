@@ -1,28 +1,23 @@
-"""Cost of the strapdown and of the indirect filter per sample, beside the triple product that it cannot do without.
+"""Cost of the strapdown and of the indirect filter per sample, beside the arithmetic that they cannot do without and peers.
 
-Run with ``make bench``. 20,000 samples at 200 Hz with 5 Hz fixes; timings are printed, never asserted.
+Run with ``make bench``. 20,000 samples at 200 Hz with 5 Hz fixes (peers: fewer, their cost is linear in them); timings are
+printed, never asserted. The plain loop must agree with the strapdown, or its time would say nothing.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from numba import njit
 
 from estimators.indirect_kf import IndirectKf
 from estimators.ins import Ins
 from testbed.records import GnssFixes, ImuSamples, InitialState, NavSolution, SensorLog, Trajectory
 from testbed.rotations import euler_to_quat
 from testbed.specs import GnssSpec, ImuSpec, TriadSpec
+from tests.benchmarks.arithmetic import strapdown_steps, triple_products
+from tests.benchmarks.python_peers import free_integration
 
 SAMPLES, RATE_HZ = 20_000, 200.0
-
-
-@njit
-def triple_products(phi, p, n):
-    for _ in range(n):
-        p = phi @ p @ phi.T
-    return p
 
 
 @pytest.fixture(scope="module")
@@ -40,45 +35,67 @@ def log() -> SensorLog:
     return SensorLog(ImuSamples(t, gyro, accel, ImuSpec("bench", RATE_HZ, *triads)), start, gnss)
 
 
-def per_sample(benchmark, samples: int = SAMPLES) -> None:
-    if benchmark.stats is not None:
-        benchmark.extra_info["us_per_sample"] = 1e6 * benchmark.stats["min"] / samples
-
-
-def test_bench_triple_product(benchmark):
-    phi = np.eye(15) + 1e-6
-    benchmark(triple_products, phi, np.eye(15), SAMPLES)
-    per_sample(benchmark)
-
-
-def test_bench_strapdown(benchmark, log):
-    benchmark(Ins().run, log)
-    per_sample(benchmark)
-
-
-def test_bench_indirect_kf(benchmark, log):
-    benchmark(IndirectKf().run, log)
-    per_sample(benchmark)
-
-
-def test_bench_filter_search(benchmark, log):
-    """One candidate of a search, scored against a reference."""
-    s: NavSolution = IndirectKf().run(log)
-    truth = Trajectory(s.t, s.lat, s.lon, s.h, s.v_n, s.q_nb, log.imu.accel, log.imu.gyro)
-    benchmark(IndirectKf.searcher(log, truth), IndirectKf())
-    per_sample(benchmark)
-
-
-def test_bench_python_ins(benchmark, log):
-    """The peer, on a tenth of the samples: its cost is linear in them."""
-    pytest.importorskip("pyins")
-    from estimators.pyins_peer import PyIns
-
-    n = SAMPLES // 10
+def shortened(log: SensorLog, samples: int) -> SensorLog:
+    """The first samples of a log."""
     imu, gnss = log.imu, log.gnss
     assert gnss is not None
-    keep = gnss.t < imu.t[n - 1]
+    keep = gnss.t < imu.t[samples - 1]
     fixes = GnssFixes(gnss.t[keep], gnss.lat[keep], gnss.lon[keep], gnss.h[keep], gnss.v_n[keep], gnss.spec)
-    short = SensorLog(ImuSamples(imu.t[:n], imu.gyro[:n], imu.accel[:n], imu.spec), log.initial, fixes)
-    benchmark.pedantic(PyIns().run, (short,), rounds=2)
-    per_sample(benchmark, n)
+    return SensorLog(ImuSamples(imu.t[:samples], imu.gyro[:samples], imu.accel[:samples], imu.spec), log.initial, fixes)
+
+
+@pytest.mark.benchmark(group="strapdown, 200 Hz")
+class TestStrapdown:
+    def test_bench_strapdown_arithmetic(self, benchmark, log):
+        benchmark.extra_info["samples"] = SAMPLES
+        benchmark(strapdown_steps, log.imu.gyro, log.imu.accel, 1.0 / RATE_HZ)
+
+    def test_bench_strapdown(self, benchmark, log):
+        benchmark.extra_info["samples"] = SAMPLES
+        benchmark(Ins().run, log)
+
+    def test_bench_strapdown_python_ins(self, benchmark, log):
+        pytest.importorskip("pyins")
+        from pyins.strapdown import Integrator
+
+        from estimators.pyins_peer import imu_increments, initial_pva
+
+        pva, increments = initial_pva(log), imu_increments(log)
+        benchmark.extra_info["samples"] = SAMPLES
+        benchmark.pedantic(lambda: Integrator(pva).integrate(increments), rounds=5)
+
+    def test_bench_strapdown_plain_python(self, benchmark, log):
+        short = shortened(log, SAMPLES // 10)
+        benchmark.extra_info["samples"] = SAMPLES // 10
+        places, velocities = benchmark.pedantic(free_integration, (short,), rounds=3)
+        ours = Ins().run(short)
+        # 10 s at rest: first order and gravity by another formula differ by less than a millimetre per second
+        assert np.abs(velocities - ours.v_n).max() < 1e-2
+        assert np.abs(places[:, 2] - ours.h).max() < 0.1
+
+
+@pytest.mark.benchmark(group="indirect filter, 200 Hz")
+class TestIndirect:
+    def test_bench_triple_product(self, benchmark):
+        phi = np.eye(15) + 1e-6
+        benchmark.extra_info["samples"] = SAMPLES
+        benchmark(triple_products, phi, np.eye(15), SAMPLES)
+
+    def test_bench_indirect_kf(self, benchmark, log):
+        benchmark.extra_info["samples"] = SAMPLES
+        benchmark(IndirectKf().run, log)
+
+    def test_bench_filter_search(self, benchmark, log):
+        """One candidate of a search, scored against a reference."""
+        s: NavSolution = IndirectKf().run(log)
+        truth = Trajectory(s.t, s.lat, s.lon, s.h, s.v_n, s.q_nb, log.imu.accel, log.imu.gyro)
+        benchmark.extra_info["samples"] = SAMPLES
+        benchmark(IndirectKf.searcher(log, truth), IndirectKf())
+
+    def test_bench_python_ins(self, benchmark, log):
+        """The peer propagates its covariance at 10 Hz only."""
+        pytest.importorskip("pyins")
+        from estimators.pyins_peer import PyIns
+
+        benchmark.extra_info["samples"] = SAMPLES // 10
+        benchmark.pedantic(PyIns().run, (shortened(log, SAMPLES // 10),), rounds=3)

@@ -28,7 +28,7 @@ def test_fly(benchmark, name):
     config = _script(name)
     driver.fly_script(config, aircraft, folder, 0)
     benchmark.group = f"fly {name}, 300 s at 100 Hz"
-    recording = benchmark.pedantic(driver.fly_script, (config, aircraft, folder, 0), rounds=3)
+    recording = benchmark.pedantic(driver.fly_script, (config, aircraft, folder, 0), rounds=7)
     benchmark.extra_info["steps"] = recording.steps
 
 
@@ -47,11 +47,13 @@ def test_bare_jsbsim(benchmark, name):
             run()
 
     benchmark.group = f"fly {name}, 300 s at 100 Hz"
-    benchmark.pedantic(bare, rounds=3)
+    benchmark.extra_info["steps"] = steps
+    benchmark.pedantic(bare, rounds=7, warmup_rounds=1)
 
 
 def test_spline_truth(benchmark):
     aircraft, folder = load_aircraft("aerosonde")
     flown = driver.fly_script(_script("aerosonde"), aircraft, folder, 0)
     benchmark.group = "spline truth, 300 s at 100 Hz"
+    benchmark.extra_info["samples"] = len(flown.state)
     benchmark(truth.make_trajectory, flown.state[:, :3], flown.state[:, 3:], 100.0, flown.start)

@@ -10,6 +10,8 @@ from estimators.networks.levenberg_marquardt import Training, train
 from estimators.networks.mlp import new_mlp
 from estimators.networks.narx import train_narx
 from testbed.features import lag_curve, rank_mrmr
+from tests.benchmarks.arithmetic import normal_equations, triple_products
+from tests.synthetic import sensor_log, weaving_flight
 
 pytest.importorskip("pytest_benchmark")
 EPOCHS = 30
@@ -56,6 +58,12 @@ def test_train_scipy(benchmark, rows):
     benchmark(fit)
 
 
+@pytest.mark.benchmark(group="network: 30 epochs of Levenberg-Marquardt, 800 x 8, 11 neurons")
+def test_train_normal_equations(benchmark):
+    """What every epoch needs at least: J'J of 800 rows and 111 weights, and one factorization."""
+    benchmark(normal_equations, np.random.default_rng(0).standard_normal((800, 111)), EPOCHS)
+
+
 @pytest.mark.benchmark(group="network: evaluation")
 def test_evaluate_800_rows(benchmark, rows):
     net = new_mlp(*rows, 11, 0)
@@ -84,14 +92,15 @@ def test_lag_curve_2000_samples(benchmark):
 @pytest.mark.benchmark(group="150 s log at 100 Hz")
 @pytest.mark.parametrize("method", ["lkf9", "ann", "kfann"])
 def test_whole_log(benchmark, method):
-    import sys
-    from pathlib import Path
-
-    sys.path.insert(0, str(Path(__file__).parents[1]))
-    from synthetic import sensor_log, weaving_flight
-
     from estimators.kfann import Ann, Kfann
     from estimators.lkf9 import Lkf9
 
     log = sensor_log(weaving_flight(), 1, ((80.0, 110.0),), gyro_bias=1e-3)
+    benchmark.extra_info["samples"] = len(log.imu.t)
     benchmark({"lkf9": Lkf9(), "ann": Ann(), "kfann": Kfann()}[method].run, log)
+
+
+@pytest.mark.benchmark(group="150 s log at 100 Hz")
+def test_whole_log_triple_product(benchmark):
+    benchmark.extra_info["samples"] = 15_000
+    benchmark(triple_products, np.eye(9) + 1e-6, np.eye(9), 15_000)

@@ -1,4 +1,7 @@
-"""Speed of the runner beside the estimators: scoring a solution, storing and reading a run, the statistics of a batch."""
+"""Speed of the runner beside the estimators: scoring, storing and reading a run, the statistics of a batch, the report.
+
+A whole unit of work stands beside what its estimators alone take; the Parquet files beside the bare write of their bytes.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +57,17 @@ def unit(flight):
 
 def test_score_15000_samples(benchmark, flight):
     windows = [Window("all", ((-1.0, 150.0),))]
+    benchmark.extra_info["samples"] = SAMPLES
     benchmark(metrics.score, *flight, windows)
+
+
+def test_subtract_and_square_15000_samples(benchmark, flight):
+    """What no score can do without: the differences of nine columns, their squares and sums."""
+    truth, solution = flight
+    estimate = np.column_stack([solution.lat, solution.lon, solution.h, solution.v_n, solution.q_nb[:, 1:]])
+    reference = np.column_stack([truth.lat, truth.lon, truth.h, truth.v_n, truth.q_nb[:, 1:]])[1:]
+    benchmark.extra_info["samples"] = SAMPLES
+    benchmark(lambda: np.square(estimate - reference).sum(axis=0))
 
 
 def test_encode_a_run_of_four_estimators(benchmark, unit):
@@ -73,3 +86,62 @@ def test_describe_1000_runs_of_500_cells(benchmark):
 def test_paired_improvement_of_1000_runs(benchmark):
     a, b = np.random.default_rng(3).gamma(4.0, size=(2, 1000))
     benchmark(statistics.improvement, a, b)
+
+
+@pytest.mark.parametrize("what", ["unit", "estimators"])
+def test_unit_of_the_quickstart(benchmark, what):
+    """One run of five estimators: sensing, estimating, scoring and encoding; and the estimators by themselves."""
+    from testbed import pipeline
+    from testbed.executors import pack
+    from testbed.registry import make_estimator
+    from testbed.scenario import load_scenario
+
+    scenario = load_scenario("quickstart")
+    bench = units.Bench(units.Setup(scenario))
+    log, _ = pipeline.sense(scenario, bench.trajectory(1), run=1)
+    estimators = [make_estimator(entry.name, **entry.params) for entry in scenario.estimators]
+    work = {"unit": lambda: pack(bench.execute(1)), "estimators": lambda: [e.run(log) for e in estimators]}[what]
+    benchmark.extra_info["samples"] = len(log.imu.t)
+    benchmark.pedantic(work, rounds=5, warmup_rounds=1)
+
+
+def test_save_a_trajectory_of_15000_samples(benchmark, flight, tmp_path):
+    benchmark.extra_info["samples"] = SAMPLES
+    benchmark(flight[0].save, tmp_path / "truth.parquet")
+
+
+def test_load_a_trajectory_of_15000_samples(benchmark, flight, tmp_path):
+    flight[0].save(tmp_path / "truth.parquet")
+    benchmark.extra_info["samples"] = SAMPLES
+    benchmark(Trajectory.load, tmp_path / "truth.parquet")
+
+
+def test_write_the_bytes_of_15000_samples(benchmark, flight, tmp_path):
+    """The same numbers as one block of memory to the same disk."""
+    truth = flight[0]
+    block = np.column_stack([truth.t, truth.lat, truth.lon, truth.h, truth.v_n, truth.q_nb, truth.f_b, truth.w_ib_b])
+    benchmark.extra_info["samples"] = SAMPLES
+    benchmark((tmp_path / "truth.bin").write_bytes, block.tobytes())
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    from testbed.report.results import load_result
+    from testbed.runner import run
+    from testbed.scenario import load_scenario
+
+    out = tmp_path_factory.mktemp("report") / "quickstart"
+    run(load_scenario("quickstart", profile="smoke"), out, jobs=1)
+    return load_result(out)
+
+
+@pytest.mark.parametrize("part", ["figures", "markdown", "html"])
+def test_report_of_the_quickstart(benchmark, result, part):
+    from testbed.report import figures, html, text
+
+    work = {
+        "figures": lambda: figures.save_figures(result, result.folder / "figures", svg=False),
+        "markdown": lambda: text.markdown(result, {}),
+        "html": lambda: html.page(result),
+    }[part]
+    benchmark.pedantic(work, rounds=3, warmup_rounds=1)

@@ -15,6 +15,7 @@ HOUR = 3600.0
 
 @pytest.mark.benchmark(group="sensing: 1 h at 200 Hz")
 def test_numpy_normals(benchmark):
+    benchmark.extra_info["flight_s"] = HOUR
     benchmark(lambda: np.random.default_rng(0).standard_normal((int(200 * HOUR), 6)))
 
 
@@ -22,6 +23,7 @@ def test_numpy_normals(benchmark):
 @pytest.mark.parametrize("model", ["ADIS16405", "ADIS16448", "ahrs-lstm-2022"])
 def test_imu(benchmark, model):
     static_log(model, 200.0, 1.0)
+    benchmark.extra_info["flight_s"] = HOUR
     benchmark(static_log, model, 200.0, HOUR)
 
 
@@ -34,4 +36,5 @@ def test_flight(benchmark):
     table = {"imu": {"model": "ADIS16405"}, "gnss": {"model": "Garmin16x"}, "mag": {"model": "ADIS16405"}, "baro": {}}
     sensors = validate(SensorsConfig, table, "bench")
     sense_flight(sensors, InitialConfig(), flight, 0)
+    benchmark.extra_info["flight_s"] = 300.0
     benchmark(sense_flight, sensors, InitialConfig(), flight, 0)

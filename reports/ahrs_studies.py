@@ -1,0 +1,255 @@
+"""AHRS-LSTM 2022 beside its runs: learning curve, structure sweep, Allan table, other conditions, and the searches.
+
+``python reports/ahrs_studies.py [NAME...]`` makes the named ones of `STUDIES`, or all that take minutes; tables and figures
+go to ``reports/ahrs-lstm-2022/``, what they are made from to ``results/report/``. Units are in the headings.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from testbed.records import SensorLog
+
+SCENARIO = "ahrs-lstm-2022"
+ROOT = Path(__file__).resolve().parent
+RESULTS, TARGET = ROOT.parent / "results" / "report", ROOT / SCENARIO
+VARIANTS = ("adis16448", "adis16488", "adis16488-aligned", "calm", "rough", "transport")
+VARIANT_RUNS = 4
+METRICS = ("rmse_roll_deg", "rmse_pitch_deg")
+ALLAN_S, ALLAN_SEED, SETTLED_S = 3 * 3600.0, 5, 600.0
+COLOURS = {"IMU": "#000000", "KF": "#0072B2", "adaptive KF": "#009E73", "LSTM": "#D55E00"}
+PHASES = ("cruise", "loiter")
+
+
+def learning_curve() -> None:
+    """``learning-curve.csv`` and ``.png``: the curve that the shipped weights carry with them."""
+    from estimators.ahrs_lstm import load_weights
+
+    metadata = load_weights("").metadata
+    curve = metadata["learning_curve"]
+    write_table(TARGET / "learning-curve.csv", curve)
+    figure, axes = new_figure(6.3, 3.2)
+    epochs = [row["epoch"] for row in curve]
+    label = "flights not learnt from"
+    axes.plot(epochs, [row["validation_deg"] for row in curve], "o-", ms=3, color=COLOURS["LSTM"], label=label)
+    axes.axhline(curve[0]["validation_deg"], color=COLOURS["KF"], lw=1, label="the KF on the same flights")
+    axes.axvline(metadata["epoch"], color="black", lw=0.7, ls=":", label="kept")
+    for before, row in zip(curve[1:], curve[2:], strict=False):
+        if row["round"] != before["round"]:
+            axes.axvline(before["epoch"] + 0.5, color="black", lw=0.4, alpha=0.4)
+    axes.set(xlabel="epoch (thin lines: the network flies anew)", ylabel="roll and pitch RMSE, °")
+    axes.set_xticks(epochs[::3])
+    axes.legend(fontsize=7, frameon=False)
+    save(figure, "learning-curve.png")
+
+
+def structures() -> None:
+    """``structures.csv``: the paper's Table 3, from ``testbed train ahrs-lstm-2022 --profile sweep`` (resumed if begun)."""
+    from testbed.scenario import load_scenario
+    from testbed.training import train
+
+    table = train(load_scenario(SCENARIO, profile="sweep"), RESULTS / f"{SCENARIO}-sweep", resume=True)
+    (TARGET / "structures.csv").write_bytes(Path(table).read_bytes())
+
+
+def allan() -> None:
+    """``allan.csv`` and ``.png``: the paper's Table 4, of the rate of the attitude that each puts out, at rest."""
+    from testbed.sensors.allan import allan_deviation, fit_allan, pooled
+
+    log, rows = log_at_rest(ALLAN_S, ALLAN_SEED), []
+    figure, axes = new_figure(6.3, 4.0)
+    rate_hz = (len(log.imu.t) - 1) / float(log.imu.t[-1] - log.imu.t[0])
+    first = round(SETTLED_S * rate_hz)
+    for label, rates in attitude_rates(log).items():
+        curve = pooled([allan_deviation(rates[first:, i], rate_hz) for i in range(3)])
+        fit = fit_allan(curve, ALLAN_S - SETTLED_S, axes=3)
+        at = [float(np.interp(tau, curve.tau, curve.deviation)) for tau in (1.0, 10.0, 100.0, 1000.0)]
+        rows.append(
+            {
+                "output": label,
+                "in_run_bias_dph": 3600.0 * np.degrees(fit.bias_instability),
+                "arw_dprh": 60.0 * np.degrees(fit.white_noise),
+                "rrw_dprh3": 3600.0**1.5 * np.degrees(fit.rate_random_walk),
+            }
+            | {f"deviation_{tau}_s_dph": 3600.0 * np.degrees(v) for tau, v in zip((1, 10, 100, 1000), at, strict=True)}
+        )
+        axes.loglog(curve.tau, 3600.0 * np.degrees(curve.deviation), color=COLOURS[label], label=label)
+    write_table(TARGET / "allan.csv", rows)
+    axes.set(xlabel="averaging time, s", ylabel="Allan deviation of the rate, °/h")
+    axes.grid(which="both", lw=0.3, alpha=0.5)
+    axes.legend(fontsize=8, frameon=False)
+    save(figure, "allan.png")
+
+
+def attitude_rates(log: SensorLog) -> dict[str, Any]:
+    """(N,3) rad/s: what the gyros say, and how fast the attitude of each filter turns in b."""
+    from testbed.registry import make_estimator
+    from testbed.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
+
+    dt, rates = np.diff(log.imu.t), {"IMU": log.imu.gyro[1:]}
+    for label, (name, params) in rows_of_scenario().items():
+        if label in COLOURS:
+            q = make_estimator(name, **params).run(log).q_nb
+            turns = [quat_to_rotvec(quat_multiply(quat_conjugate(a), b)) for a, b in zip(q[:-1], q[1:], strict=True)]
+            rates[label] = np.array(turns) / dt[:, None]
+    return rates
+
+
+def rows_of_scenario() -> dict[str, tuple[str, Mapping[str, Any]]]:
+    """Label to name and parameters of the scenario's estimators."""
+    from testbed.scenario import load_scenario
+
+    return {entry.row: (entry.name, entry.params) for entry in load_scenario(SCENARIO).estimators}
+
+
+def log_at_rest(duration_s: float, seed: int) -> SensorLog:
+    """The scenario's sensors on a bench, level, heading north."""
+    from testbed.earth import earth_rate_n, gravity
+    from testbed.records import Trajectory
+    from testbed.scenario import load_scenario
+    from testbed.sensors import sense_flight
+
+    scenario = load_scenario(SCENARIO)
+    assert scenario.flight is not None and scenario.sensors is not None
+    start, rate = scenario.flight.initial, scenario.flight.rate_hz
+    n = round(duration_s * rate) + 1
+    lat, lon = np.radians(start.lat_deg), np.radians(start.lon_deg)
+    q = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    force = np.tile([0.0, 0.0, -gravity(lat, start.alt_m)], (n, 1))
+    place = np.full(n, lat), np.full(n, lon), np.full(n, start.alt_m), np.zeros((n, 3))
+    still = Trajectory(np.arange(n) / rate, *place, q, force, np.tile(earth_rate_n(lat), (n, 1)))
+    return sense_flight(scenario.sensors, scenario.initial, still, seed, 0)[0]
+
+
+def generalisation() -> None:
+    """``generalisation.csv``: the learned gain where it was not trained, against the KF there, `VARIANT_RUNS` runs each."""
+    from testbed.runner import run
+    from testbed.scenario import load_scenario
+    from testbed.statistics import improvement
+
+    rows = []
+    for variant in VARIANTS:
+        scenario = load_scenario(SCENARIO, variant=variant)
+        made = run(scenario, RESULTS / f"{SCENARIO}-{variant}", runs=VARIANT_RUNS, jobs=1, resume=known(variant))
+        table = made.metrics[(made.metrics["window"] == "all") & made.metrics["metric"].isin(METRICS)]
+        values = table.pivot_table(index=["metric", "run"], columns="estimator", values="value")
+        for metric in METRICS:
+            part = values.loc[metric].reindex(range(VARIANT_RUNS))
+            for label in [name for name in part.columns if name in ("LSTM", "adaptive KF")]:
+                gain = improvement(part[label].to_numpy(), part["KF"].to_numpy())
+                row = {"variant": variant, "metric": metric, "estimator": label, "kf_deg": part["KF"].mean()}
+                row |= {"deg": part[label].mean(), "runs": int(part[label].notna().sum())}
+                found = (gain.percent, gain.low, gain.high) if gain else (np.nan,) * 3
+                rows.append(row | dict(zip(("improvement_pct", "ci_low", "ci_high"), found, strict=True)))
+    write_table(TARGET / "generalisation.csv", rows)
+
+
+def known(variant: str) -> bool:
+    """Whether that variant's runs were begun."""
+    return (RESULTS / f"{SCENARIO}-{variant}" / "manifest.json").is_file()
+
+
+def phases() -> None:
+    """``phases.png``: the paper's Figures 6 and 7, errors of run 0 in cruise and in loiter."""
+    from testbed.report.results import load_result
+    from testbed.scenario import load_scenario
+
+    result = load_result(RESULTS / SCENARIO)
+    windows = {w.name: (w.start, w.end) for w in load_scenario(SCENARIO).windows}
+    figure, _ = new_figure(9.0, 5.0)
+    figure.clear()
+    axes = figure.subplots(2, len(PHASES), sharey="row", squeeze=False)
+    for column, phase in enumerate(PHASES):
+        start, end = windows[phase]
+        for ax, axis in zip(axes[:, column], ("roll", "pitch"), strict=True):
+            for label, errors in result.errors.items():
+                if label in COLOURS:
+                    shown = errors[(errors["time_s"] >= start) & (errors["time_s"] <= end)]
+                    ax.plot(shown["time_s"], shown[f"{axis}_deg"], color=COLOURS[label], lw=1, label=label)
+            ax.axhline(0.0, color="black", lw=0.4)
+            ax.margins(x=0)
+            ax.set_ylabel(f"{axis} error, °")
+        axes[0, column].set_title(phase.capitalize(), fontsize=9)
+        axes[1, column].set_xlabel("Time, s")
+    axes[0, 0].legend(fontsize=8, frameon=False)
+    save(figure, "phases.png")
+
+
+def nine_hours() -> None:
+    """``nine-hours.csv``: one run of the profile ``paper``, a flight of nine hours as in the paper."""
+    from testbed.runner import run
+    from testbed.scenario import load_scenario
+
+    folder = RESULTS / f"{SCENARIO}-paper"
+    done = (folder / "manifest.json").is_file()
+    table = run(load_scenario(SCENARIO, profile="paper"), folder, runs=1, jobs=1, resume=done).summary
+    table = table[table["metric"].isin(METRICS)]
+    write_table(TARGET / "nine-hours.csv", table[["estimator", "window", "metric", "mean"]].to_dict("records"))
+
+
+def new_figure(width: float, height: float) -> tuple[Figure, Any]:
+    """A figure that needs no display, and its axes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots()
+
+
+def save(figure: Figure, name: str) -> None:
+    """Into the report's folder."""
+    TARGET.mkdir(exist_ok=True)
+    figure.savefig(TARGET / name, dpi=120, metadata={"Software": None})
+
+
+def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Numbers with five digits."""
+    path.parent.mkdir(exist_ok=True)
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+
+
+STUDIES: dict[str, Callable[[], None]] = {
+    "learning-curve": learning_curve,
+    "allan": allan,
+    "phases": phases,
+    "generalisation": generalisation,
+    "structures": structures,
+    "nine-hours": nine_hours,
+}
+"""What can be asked for by name."""
+
+
+def make_studies(resume: bool = False) -> None:
+    """All of them, after the scenario's own run (``reports/make.py``); without ``resume`` stored runs are made again."""
+    import shutil
+
+    if not resume:
+        for folder in RESULTS.glob(f"{SCENARIO}-*"):
+            shutil.rmtree(folder)
+    main([])
+
+
+def main(names: Sequence[str]) -> None:
+    """Make the named studies, or all."""
+    for name in names or STUDIES:
+        if name not in STUDIES:
+            sys.exit(f"{name}: no such study; there are {', '.join(STUDIES)}")
+        print(name, flush=True)
+        STUDIES[name]()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

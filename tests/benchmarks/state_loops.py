@@ -1,0 +1,34 @@
+"""What a filter of n states does at each step, repeated in compiled loops: for its cost against n."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from estimators.kalman import update
+from estimators.ukf_kernels import sigma_points, unscented_moments, unscented_weights
+
+
+@njit(cache=True)
+def updates(n, measurements, count):
+    """Updates of n states with so many direct measurements; returns the covariance."""
+    x, p, h = np.zeros(n), np.eye(n), np.zeros((measurements, n))
+    residual, r = np.zeros(measurements), np.ones(measurements)
+    covariance, scratch = np.empty((measurements, measurements)), np.empty((measurements + 4, n))
+    for a in range(measurements):
+        h[a, a] = 1.0
+    for _ in range(count):
+        update(x, p, residual, h, r, covariance, scratch)
+    return p
+
+
+@njit(cache=True)
+def unscented_transforms(n, count):
+    """Sigma points of n states and their moments; returns the covariance."""
+    x, p = np.zeros(n), np.eye(n)
+    mean, out, factor, points = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((2 * n + 1, n))
+    spread, weights = unscented_weights(n, 1.0, 0.0, 0.0)
+    for _ in range(count):
+        sigma_points(x, p, spread, factor, points)
+        unscented_moments(points, weights, 0, 0, mean, out)
+    return out
