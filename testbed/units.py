@@ -143,6 +143,8 @@ class Bench:
         except (KeyboardInterrupt, MemoryError):
             raise
         except BaseException as error:
+            if _is_interrupt(error):
+                raise KeyboardInterrupt from error
             reason = _reason(error)
             return Outcome(entry.row, f"failed: {reason}", reason, time.perf_counter() - start, samples), None
         return Outcome(entry.row, "ok", "", seconds, samples), solution
@@ -183,6 +185,15 @@ class Bench:
 def lost(setup: Setup, run: int, reason: str) -> UnitResult:
     """A run that no estimator saw, for example because its dispersed flight could not be flown."""
     return UnitResult(run, [Outcome(entry.row, f"failed: {reason}", reason) for entry in setup.scenario.estimators])
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: one that arrives inside of a compiled loop comes out as a SystemError."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _reason(error: BaseException) -> str:

@@ -93,6 +93,12 @@ def test_ctrl_c_says_how_to_resume_and_loses_nothing(tmp_path, undisturbed):
     assert contents(tmp_path / "out") == undisturbed
 
 
+def test_ctrl_c_inside_of_a_compiled_loop_is_no_failure_of_the_estimator(tmp_path):
+    with pytest.raises(runner.Interrupted, match="2 of 12 runs stored"):
+        runner.run(mc.scenario([{"name": "interrupted"}]), tmp_path / "out", jobs=1, plugins=[mc.PLUGIN])
+    assert stored(tmp_path / "out") == 2
+
+
 def test_a_killed_worker_loses_nothing(tmp_path, undisturbed):
     process = start(tmp_path / "out")
     wait_for(lambda: stored(tmp_path / "out") >= 5)

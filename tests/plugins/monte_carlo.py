@@ -153,3 +153,19 @@ class Kills:
                 Path(self.marker).touch()
             os.kill(os.getpid(), signal.SIGKILL)
         return _truth_plus(log, "kills", 1.0)
+
+
+@dataclass(frozen=True)
+class Interrupted:
+    """Ctrl-C in run ``at`` while a compiled loop runs, which numba turns into a SystemError."""
+
+    at: int = 2
+    name = "interrupted"
+
+    def run(self, log):
+        if run_of(log) == self.at:
+            try:
+                raise KeyboardInterrupt
+            except KeyboardInterrupt as pressed:
+                raise SystemError("returned a result with an exception set") from pressed
+        return _truth_plus(log, "interrupted", 1.0)
