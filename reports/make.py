@@ -41,6 +41,7 @@ KEPT = (
     "timings.csv",
     "consistency.csv",
     "manifest.json",
+    "scenario.toml",
 )
 
 
