@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import monte_carlo as mc
@@ -47,7 +48,10 @@ def start(out, *more, jobs=2):
     here = Path(__file__).parent
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(here), str(here.parent)])}
     command = [sys.executable, str(here / "run_monte_carlo.py"), str(out), str(RUNS), str(jobs), *more]
-    return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    # a shell lets what it runs in the background ignore Ctrl-C, and children inherit that
+    heeded = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    options = {"stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+    return subprocess.Popen(command, env=environment, preexec_fn=heeded, **options)
 
 
 def stored(out):
