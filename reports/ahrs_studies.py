@@ -232,14 +232,19 @@ STUDIES: dict[str, Callable[[], None]] = {
 """What can be asked for by name."""
 
 
-def make_studies(resume: bool = False) -> None:
-    """All of them, after the scenario's own run (``reports/make.py``); without ``resume`` stored runs are made again."""
+LONG = {"structures": "sweep", "nine-hours": "paper"}
+"""Those that take long, and the profile whose results they keep."""
+
+
+def make_studies(resume: bool = False, long: bool = False) -> None:
+    """After the scenario's own run (``reports/make.py``); without ``resume`` stored runs are made again."""
     import shutil
 
-    if not resume:
-        for folder in RESULTS.glob(f"{SCENARIO}-*"):
-            shutil.rmtree(folder)
-    main([])
+    chosen = [name for name in STUDIES if long or name not in LONG]
+    folders = [*VARIANTS, *(profile for name, profile in LONG.items() if name in chosen)]
+    for folder in [] if resume else folders:
+        shutil.rmtree(RESULTS / f"{SCENARIO}-{folder}", ignore_errors=True)
+    main(chosen)
 
 
 def main(names: Sequence[str]) -> None:

@@ -1,7 +1,9 @@
 """Make the committed reports again: sensors, and every paper scenario in its profile ``report`` (``make reports``).
 
 Results go to ``results/report/``; what a reader looks at (page, text, figures, tables) is copied to ``reports/NAME/``.
-Give names to make only those: ``python reports/make.py imm-rstekf-2023``. With ``--resume`` runs and studies that are stored are kept.
+Give names to make only those: ``python reports/make.py imm-rstekf-2023``. With ``--resume`` runs and studies that are stored
+are kept. Everything takes an hour on two cores; ``--long`` adds what takes hours more (trainings of the AHRS networks, the flight of
+nine hours). What is not made again stays as it was committed.
 """
 
 from __future__ import annotations
@@ -49,7 +51,10 @@ def main(names: list[str]) -> None:
     """Make the named reports, or all."""
     from testbed.report import render_index
 
-    resume, names = "--resume" in names, [name for name in names if name != "--resume"]
+    resume, long = "--resume" in names, "--long" in names
+    names = [name for name in names if name not in ("--resume", "--long")]
+    if unknown := [name for name in names if name not in (*SCENARIOS, "sensors", "ipo-2022")]:
+        sys.exit(f"{unknown[0]}: no such report; there are sensors, {', '.join(SCENARIOS)}, ipo-2022")
     if not names or "sensors" in names:
         from testbed.sensors.datasheet_report import write_report
 
@@ -59,11 +64,11 @@ def main(names: list[str]) -> None:
             for variant in SCENARIOS[name]:
                 make(name, variant, resume)
             if name in STUDIES:
-                STUDIES[name](resume)
+                STUDIES[name](resume, long)
     if not names or "ipo-2022" in names:
         ipo_studies()
     print(f"figures: {pictures.shrink(ROOT) / 1e6:.1f} MB")
-    made = sorted(path.parent for path in ROOT.glob("*/manifest.json"))
+    made = sorted({path.parent for name in ("manifest.json", "report.json") for path in ROOT.glob(f"*/{name}")})
     if made:
         render_index(made, ROOT)
 
@@ -94,7 +99,7 @@ def make(name: str, variant: str | None, resume: bool = False) -> None:
     shutil.copytree(RESULTS / folder / "figures", target / "figures")
 
 
-def kfann_studies(resume: bool) -> None:
+def kfann_studies(resume: bool, _long: bool) -> None:
     """Map over outage length and gyro bias, what else to feed the filter with, and the networks' output beside the error."""
     import kfann_fed
     import kfann_maps
@@ -106,7 +111,7 @@ def kfann_studies(resume: bool) -> None:
         figure.savefig(ROOT / folder / "network-output.png", dpi=120, metadata={"Software": None})
 
 
-def narx_studies(resume: bool) -> None:
+def narx_studies(resume: bool, _long: bool) -> None:
     """What grows in an outage, what the networks can learn of it, and whether a bad start tells UKF from EKF."""
     import narx_lessons
     import outage_growth
@@ -129,11 +134,11 @@ def narx_studies(resume: bool) -> None:
             write()
 
 
-def ahrs_studies(resume: bool) -> None:
+def ahrs_studies(resume: bool, long: bool) -> None:
     """Allan table, cruise and loiter, structures, other units and aircraft, nine hours, learning curve."""
     import ahrs_studies as studies
 
-    studies.make_studies(resume)
+    studies.make_studies(resume, long)
 
 
 def ipo_studies() -> None:
@@ -147,7 +152,7 @@ def ipo_studies() -> None:
     publish("ipo-2022", RESULTS, ROOT / "ipo-2022")
 
 
-STUDIES: dict[str, Callable[[bool], None]] = {
+STUDIES: dict[str, Callable[[bool, bool], None]] = {
     "ahrs-lstm-2022": ahrs_studies,
     "kfann-2018": kfann_studies,
     "narx-ukf-2021": narx_studies,

@@ -12,15 +12,15 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from testbed import claims, statistics
-from testbed.metrics import AXES, NEES_GROUPS
+from testbed.metrics import AXES, NEES_GROUPS, TIME_METRIC
 from testbed.records import Array
 from testbed.scenario import Scenario
 from testbed.store import ColumnStore, Store, StoredRun, decode, writing
 
 if TYPE_CHECKING:
-    import pandas as pd
     import pyarrow as pa
 
 FLOAT_FORMAT = "%.10g"
@@ -115,7 +115,7 @@ def _cells_of(stored: StoredRun) -> list[Cell]:
 
 def _time_cells(unit: StoredRun) -> dict[Cell, float]:
     return {
-        (o.estimator, "all", claims.TIME_METRIC): 1e6 * o.seconds / o.samples
+        (o.estimator, "all", TIME_METRIC): 1e6 * o.seconds / o.samples
         for o in unit.outcomes
         if o.status == "ok" and o.samples
     }
@@ -178,8 +178,6 @@ def _fit(column: Array, points: int) -> Array:
 
 
 def _tables(scenario: Scenario, gathered: _Pass, values: ColumnStore, times: Array) -> Tables:
-    import pandas as pd
-
     seed = scenario.monte_carlo.seed
     rows = [entry.row for entry in scenario.estimators]
 
@@ -201,8 +199,6 @@ def _tables(scenario: Scenario, gathered: _Pass, values: ColumnStore, times: Arr
 
 def _summary(gathered: _Pass, values: ColumnStore, rows: list[str], seed: int) -> pd.DataFrame:
     """Every cell but the computation time, described; estimators in the scenario's order, windows and metrics as they came."""
-    import pandas as pd
-
     total = len(gathered.cells)
     width = max(1, min(_BLOCK_BYTES // (8 * max(1, len(values))), _BLOCK_BYTES // (8 * statistics.DRAWS)))
     parts = [statistics.describe(values.columns(k, min(k + width, total)), seed) for k in range(0, total, width)]
@@ -211,15 +207,13 @@ def _summary(gathered: _Pass, values: ColumnStore, rows: list[str], seed: int) -
     frame = keys.assign(**described)
     windows = {window: k for k, window in enumerate(dict.fromkeys(keys["window"]))}
     metrics = {metric: k for k, metric in enumerate(dict.fromkeys(keys["metric"]))}
-    frame = frame[frame["metric"] != claims.TIME_METRIC]
+    frame = frame[frame["metric"] != TIME_METRIC]
     order = [frame["estimator"].map(rows.index), frame["window"].map(windows), frame["metric"].map(metrics)]
     return frame.iloc[np.lexsort([key.to_numpy() for key in reversed(order)])].reset_index(drop=True)
 
 
 def _timings(runs: pd.DataFrame, rows: list[str]) -> pd.DataFrame:
     """µs per IMU sample of the runs that were finished."""
-    import pandas as pd
-
     done = runs[(runs["status"] == "ok") & (runs["samples"] > 0)]
     out = []
     for row in rows:
@@ -232,8 +226,6 @@ def _timings(runs: pd.DataFrame, rows: list[str]) -> pd.DataFrame:
 
 def _improvements(gathered: _Pass, column: claims.Values, rows: list[str], seed: int) -> pd.DataFrame:
     """Each estimator against the first one of the scenario: `HEADLINE` metrics in every window that both have."""
-    import pandas as pd
-
     out = []
     for window in dict.fromkeys(window for _, window, _ in gathered.cells):
         for metric in HEADLINE:
@@ -252,8 +244,6 @@ def _improvements(gathered: _Pass, column: claims.Values, rows: list[str], seed:
 
 def _consistency(gathered: _Pass, rows: list[str], times: Array) -> pd.DataFrame:
     """Run-averaged NEES and NIS over time against their chi-square bounds."""
-    import pandas as pd
-
     settled = min(SETTLED_S, 0.5 * float(times[-1])) if len(times) else 0.0
     out: list[dict[str, Any]] = []
     for row in rows:
@@ -266,8 +256,6 @@ def _consistency(gathered: _Pass, rows: list[str], times: Array) -> pd.DataFrame
 
 def _write_envelopes(store: Store, gathered: _Pass, series: ColumnStore, times: Array) -> None:
     """``envelopes.parquet``, one quantity of one estimator at a time, in blocks of times."""
-    import pandas as pd
-
     points, frames = gathered.points, []
     width = max(1, _BLOCK_BYTES // (8 * max(1, len(series))))
     for (estimator, quantity), k in gathered.series.items():
@@ -289,5 +277,5 @@ def _write_envelopes(store: Store, gathered: _Pass, series: ColumnStore, times: 
 
 def _split_timed(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Claims on computation time stand apart: they are no pure function of scenario and seed."""
-    timed = frame["metric"] == claims.TIME_METRIC
+    timed = frame["metric"] == TIME_METRIC
     return frame[~timed], frame[timed]

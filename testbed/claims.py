@@ -23,7 +23,6 @@ from testbed.records import Array
 from testbed.scenario import ClaimConfig
 from testbed.statistics import Improvement, improvement
 
-TIME_METRIC = "us_per_sample"
 COLUMNS = "id text paper_pct measured_pct ci_low ci_high verdict p_value n better than metric window".split()
 
 Values = Callable[[str, str, str], Array | None]

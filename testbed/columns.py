@@ -7,6 +7,7 @@ for bit. SI units otherwise.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,9 +27,9 @@ def columns(pattern: str, names: Any, values: Array) -> dict[str, Array]:
     return {pattern.format(name): values[:, i] for i, name in enumerate(names)}
 
 
-def stack(frame: pd.DataFrame, pattern: str, names: Any) -> Array:
-    """`columns` backwards: (N,n) of a frame."""
-    return np.column_stack([frame[pattern.format(name)].to_numpy() for name in names])
+def stack(table: Mapping[str, Array], pattern: str, names: Any) -> Array:
+    """`columns` backwards: (N,n) of a table."""
+    return np.column_stack([table[pattern.format(name)] for name in names])
 
 
 def exact_columns(lat: Array, lon: Array, q_nb: Array) -> dict[str, Array]:
@@ -46,20 +47,20 @@ def pva_columns(t: Array, lat: Array, lon: Array, h: Array, v_n: Array, q_nb: Ar
     return place | velocity | columns("{}_deg", ("roll", "pitch", "yaw"), euler)
 
 
-def read_pva(frame: pd.DataFrame) -> dict[str, Any]:
-    """t, lat, lon, h, v_n and q_nb of a frame with `pva_columns` and `exact_columns`."""
+def read_pva(table: Mapping[str, Array]) -> dict[str, Any]:
+    """t, lat, lon, h, v_n and q_nb of a table with `pva_columns` and `exact_columns`."""
 
     def angle(name: str) -> Array:
         exact = f"{name}_rad"
-        return frame[exact].to_numpy() if exact in frame else np.radians(frame[f"{name}_deg"].to_numpy())
+        return table[exact] if exact in table else np.radians(table[f"{name}_deg"])
 
     return {
-        "t": frame["time_s"].to_numpy(),
+        "t": table["time_s"],
         "lat": angle("lat"),
         "lon": angle("lon"),
-        "h": frame["alt_m"].to_numpy(),
-        "v_n": stack(frame, "v_{}_mps", ("north", "east", "down")),
-        "q_nb": stack(frame, "q_nb_{}", range(4)),
+        "h": table["alt_m"],
+        "v_n": stack(table, "v_{}_mps", ("north", "east", "down")),
+        "q_nb": stack(table, "q_nb_{}", range(4)),
     }
 
 
@@ -73,13 +74,14 @@ def write_table(frame: pd.DataFrame, path: str | Path, kind: str, meta: dict[str
     pq.write_table(table.replace_schema_metadata(header), path)
 
 
-def read_table(path: str | Path, kind: str) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """Frame and header of a file of this kind. Raises InputError for anything else."""
+def read_table(path: str | Path, kind: str) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Columns and header of a file of this kind. Raises InputError for anything else."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        table = pq.read_table(path)
+        with pq.ParquetFile(path) as file:
+            table = file.read()
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except (pa.ArrowInvalid, OSError) as error:
@@ -87,4 +89,12 @@ def read_table(path: str | Path, kind: str) -> tuple[pd.DataFrame, dict[str, Any
     meta = json.loads((table.schema.metadata or {}).get(b"testbed", b"{}"))
     if meta.get("kind") != kind:
         raise InputError(f"{path}: holds {meta.get('kind') or 'no record of the testbed'}, expected {kind}")
-    return table.to_pandas(), meta
+    return {name: _values(table[name]) for name in table.column_names}, meta
+
+
+def _values(column: Any) -> Array:
+    """A column as an array of its own; the usual one without pandas, which pyarrow's own conversion imports."""
+    import pyarrow as pa
+
+    plain = column.num_chunks == 1 and not column.null_count and pa.types.is_floating(column.type)
+    return np.array(np.from_dlpack(column.chunk(0)) if plain else column)

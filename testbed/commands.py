@@ -242,16 +242,26 @@ def import_recording(format: str, files: list[Path], out: Path) -> None:
 def report(folders: list[Path], out: Path) -> None:
     """``testbed report``."""
     from testbed.report import render, render_index
+    from testbed.tuning.tune import read_manifest
 
     check_place(out)
     for folder in folders:
         if not (folder / "manifest.json").is_file():
-            raise InputError(f"{folder}: no result of 'testbed run' (it has no manifest.json)")
+            raise InputError(f"{folder}: no result of 'testbed run' or 'testbed tune' (it has no manifest.json)")
     for folder in folders:
-        render(folder)
+        if read_manifest(folder) is None:
+            render(folder)
+        else:
+            _report_study(folder)
         print(f"report: {folder / 'report.html'}")
     if len(folders) > 1:
         print(f"index: {render_index(folders, out)}")
+
+
+def _report_study(folder: Path) -> None:
+    from testbed.tuning.report import write_report
+
+    write_report(folder)
 
 
 def compare(old: Path, new: Path) -> int:

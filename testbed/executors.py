@@ -20,11 +20,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from itertools import islice
 from multiprocessing import connection, get_context, parent_process
 from pathlib import Path
 from typing import Any
 
 from testbed.errors import InputError, TestbedError
+from testbed.forking import can_fork, quietly
 from testbed.limits import single_threaded, thread_environment
 from testbed.store import encode
 from testbed.units import Bench, Setup, UnitResult, lost
@@ -93,7 +95,7 @@ def _work(run: int, skip: dict[str, str]) -> Finished:
 
 
 class Pool:
-    """A pool of ``jobs`` spawned processes that survives the death of its workers."""
+    """A pool of ``jobs`` processes that survives the death of its workers."""
 
     def __init__(self, setup: Setup, jobs: int) -> None:
         self.setup, self.jobs = setup, jobs
@@ -105,9 +107,12 @@ class Pool:
         self._skip: dict[int, dict[str, str]] = {}
 
     def run(self, runs: Iterable[int]) -> Iterator[Finished]:
-        """Units in the order in which they are done; two per worker are in flight."""
-        waiting, again = iter(runs), []
-        flying: dict[Future[Finished], int] = {}
+        """Units in the order in which they are done; two per worker are in flight, the first from now on."""
+        waiting = iter(runs)
+        return self._finish({self._submit(run): run for run in islice(waiting, 2 * self.jobs)}, waiting)
+
+    def _finish(self, flying: dict[Future[Finished], int], waiting: Iterator[int]) -> Iterator[Finished]:
+        again: list[int] = []
         try:
             while True:
                 while len(flying) < 2 * self.jobs and (run := next(waiting, None)) is not None:
@@ -142,15 +147,19 @@ class Pool:
 
     def _submit(self, run: int) -> Future[Finished]:
         if self._executor is None:
-            arguments = (self.setup, self._folder.name)
-            self._executor = ProcessPoolExecutor(self.jobs, get_context("spawn"), _start_worker, arguments)
-        with thread_environment(), _without_main():
+            self._executor = self._start(self.jobs)
+        with thread_environment(), _without_main(), quietly():
             try:
                 return self._executor.submit(_work, run, self._skip.get(run, {}))
             except BrokenProcessPool as error:
                 failed: Future[Finished] = Future()
                 failed.set_exception(error)
                 return failed
+
+    def _start(self, jobs: int) -> ProcessPoolExecutor:
+        """Workers that begin as copies of this process where that is safe, else with an interpreter of their own."""
+        context = get_context("fork" if can_fork() else "spawn")
+        return ProcessPoolExecutor(jobs, context, _start_worker, (self.setup, self._folder.name))
 
     def _kill_hanging(self, limit: float) -> None:
         """Kill workers whose estimator does not heed its time limit, and give that estimator up for the run."""
@@ -190,8 +199,7 @@ class Pool:
     def _alone(self, run: int) -> Finished:
         """Compute a suspected unit in a pool of its own; whichever estimator kills the worker then is the culprit."""
         for _ in range(len(self.setup.scenario.estimators) + 2):
-            executor = ProcessPoolExecutor(1, get_context("spawn"), _start_worker, (self.setup, self._folder.name))
-            self._executor = executor
+            self._executor = self._start(1)
             try:
                 future = self._submit(run)
                 while not wait([future], timeout=POLL_S).done:

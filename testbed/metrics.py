@@ -50,6 +50,8 @@ NEES_GROUPS = {
     "nees_bias": slice(9, 15),
 }
 """Metric names and the error states (order of `records.STATE_NAMES`) that each one tests."""
+TIME_METRIC = "us_per_sample"
+"""Computation time of an estimator per IMU sample."""
 
 _TIME_TOLERANCE = 1e-9
 _GNSS_QUANTITIES = QUANTITIES[:9]

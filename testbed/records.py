@@ -94,12 +94,12 @@ class Trajectory:
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:
         """Read what `save` wrote. Raises InputError when the file is no Trajectory."""
-        frame, meta = read_table(path, "Trajectory")
+        table, meta = read_table(path, "Trajectory")
         return cls(
-            **read_pva(frame),
-            f_b=stack(frame, "accel_{}_mps2", "xyz"),
-            w_ib_b=stack(frame, "gyro_{}_radps", "xyz"),
-            extra={key: frame[key].to_numpy() for key in meta["extra"]},
+            **read_pva(table),
+            f_b=stack(table, "accel_{}_mps2", "xyz"),
+            w_ib_b=stack(table, "gyro_{}_radps", "xyz"),
+            extra={key: table[key] for key in meta["extra"]},
             phases=tuple(Phase(*p) for p in meta["phases"]),
             name=meta["name"],
         )
@@ -243,31 +243,31 @@ class SensorLog:
     def load(cls, path: str | Path) -> SensorLog:
         """Read the folder that `save` wrote. Raises InputError when it is none."""
         folder = Path(path)
-        frame, meta = read_table(folder / "imu.parquet", "SensorLog.imu")
+        table, meta = read_table(folder / "imu.parquet", "SensorLog.imu")
         initial: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v for k, v in meta["initial"].items()}
-        gyro, accel = stack(frame, "gyro_{}_radps", "xyz"), stack(frame, "accel_{}_mps2", "xyz")
-        imu = ImuSamples(frame["time_s"].to_numpy(), gyro, accel, specs.from_dict(ImuSpec, meta["spec"]))
+        gyro, accel = stack(table, "gyro_{}_radps", "xyz"), stack(table, "accel_{}_mps2", "xyz")
+        imu = ImuSamples(table["time_s"], gyro, accel, specs.from_dict(ImuSpec, meta["spec"]))
         gnss, mag, baro = None, None, None
         if (folder / "gnss.parquet").exists():
-            frame, other = read_table(folder / "gnss.parquet", "SensorLog.gnss")
+            table, other = read_table(folder / "gnss.parquet", "SensorLog.gnss")
             gnss = GnssFixes(
-                t=frame["time_s"].to_numpy(),
-                lat=frame["lat_rad"].to_numpy(),
-                lon=frame["lon_rad"].to_numpy(),
-                h=frame["alt_m"].to_numpy(),
-                v_n=stack(frame, "v_{}_mps", ("north", "east", "down")),
+                t=table["time_s"],
+                lat=table["lat_rad"],
+                lon=table["lon_rad"],
+                h=table["alt_m"],
+                v_n=stack(table, "v_{}_mps", ("north", "east", "down")),
                 spec=specs.from_dict(GnssSpec, other["spec"]),
                 outages=tuple((a, b) for a, b in other["outages"]),
-                std=stack(frame, "std_{}", range(6)) if "std_0" in frame else None,
+                std=stack(table, "std_{}", range(6)) if "std_0" in table else None,
             )
         if (folder / "mag.parquet").exists():
-            frame, other = read_table(folder / "mag.parquet", "SensorLog.mag")
-            values = stack(frame, "mag_{}_ut", "xyz")
-            mag = MagSamples(frame["time_s"].to_numpy(), values, specs.from_dict(MagSpec, other["spec"]))
+            table, other = read_table(folder / "mag.parquet", "SensorLog.mag")
+            values = stack(table, "mag_{}_ut", "xyz")
+            mag = MagSamples(table["time_s"], values, specs.from_dict(MagSpec, other["spec"]))
         if (folder / "baro.parquet").exists():
-            frame, other = read_table(folder / "baro.parquet", "SensorLog.baro")
+            table, other = read_table(folder / "baro.parquet", "SensorLog.baro")
             spec = specs.from_dict(BaroSpec, other["spec"])
-            baro = BaroSamples(frame["time_s"].to_numpy(), frame["pressure_pa"].to_numpy(), spec)
+            baro = BaroSamples(table["time_s"], table["pressure_pa"], spec)
         return cls(imu, InitialState(**initial), gnss, mag, baro, meta["name"])
 
 
@@ -354,12 +354,12 @@ class NavSolution:
     @classmethod
     def load(cls, path: str | Path) -> NavSolution:
         """Read what `save` wrote."""
-        frame, _ = read_table(path, "NavSolution")
+        table, _ = read_table(path, "NavSolution")
         return cls(
-            **read_pva(frame),
-            accel_bias=stack(frame, "accel_bias_{}_mps2", "xyz") if "accel_bias_x_mps2" in frame else None,
-            gyro_bias=stack(frame, "gyro_bias_{}_radps", "xyz") if "gyro_bias_x_radps" in frame else None,
-            std=stack(frame, "std_{}", STATE_NAMES) if "std_" + STATE_NAMES[0] in frame else None,
+            **read_pva(table),
+            accel_bias=stack(table, "accel_bias_{}_mps2", "xyz") if "accel_bias_x_mps2" in table else None,
+            gyro_bias=stack(table, "gyro_bias_{}_radps", "xyz") if "gyro_bias_x_radps" in table else None,
+            std=stack(table, "std_{}", STATE_NAMES) if "std_" + STATE_NAMES[0] in table else None,
         )
 
 

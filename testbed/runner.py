@@ -107,12 +107,13 @@ def run(
         wanted = 0
         for wanted in runs.checkpoints() if isinstance(runs, Auto) else [scenario.monte_carlo.runs]:
             missing = [k for k in range(wanted) if k not in done]
-            _complete(store, missing, wanted, _units(setup, missing, jobs, client), progress)
+            units = _units(setup, missing, jobs, client)
+            from testbed.aggregate import aggregate  # pandas and scipy.stats load while the workers are at it
+
+            _complete(store, missing, wanted, units, progress)
             done.update(missing)
             if isinstance(runs, Auto) and _narrow(store, scenario, wanted, runs.width_pct):
                 break
-    from testbed.aggregate import aggregate
-
     tables = aggregate(store, scenario, range(wanted), envelope_times(trajectory))
     seconds = round(time.time() - started, 3)
     store.update_manifest(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
@@ -182,8 +183,7 @@ def prepare(setup: Setup) -> Trajectory:
 
 def check_claims(scenario: Scenario, windows: Sequence[str]) -> None:
     """Raise InputError for a claim on a metric or window that does not exist."""
-    from testbed.claims import TIME_METRIC
-    from testbed.metrics import metric_names
+    from testbed.metrics import TIME_METRIC, metric_names
 
     metrics = [*metric_names(), TIME_METRIC]
     for claim in scenario.active_claims():

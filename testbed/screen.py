@@ -52,9 +52,17 @@ def progress_line(what: str) -> Iterator[Callable[[int, int], None]]:
         )
         from rich.console import Console
 
-        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(what, total=None)
-            yield lambda done, total: bar.update(task, completed=done, total=total)
+        bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        task = bar.add_task(what, total=None)
+
+        def show(done: int, total: int) -> None:
+            bar.start()  # only now: workers are copies of a process without threads, and the bar has one
+            bar.update(task, completed=done, total=total)
+
+        try:
+            yield show
+        finally:
+            bar.stop()
         return
     import time
 

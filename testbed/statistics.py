@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri, ndtr, stdtrit
+from scipy.stats import wilcoxon
 
 from testbed.records import Array
 from testbed.streams import stream
@@ -93,8 +95,6 @@ def improvement(a: Array, b: Array, seed: int = 0) -> Improvement | None:
 
 def signed_rank(a: Array, b: Array) -> float:
     """Two-sided Wilcoxon signed-rank p-value of paired samples; 1 where they are equal."""
-    from scipy.stats import wilcoxon
-
     difference = a - b
     return 1.0 if not difference.any() else float(wilcoxon(difference).pvalue)
 
@@ -111,10 +111,8 @@ def difference_interval(a: Array, b: Array, paired: bool, seed: int = 0) -> tupl
 
 def chi_square_bounds(dof: Array) -> tuple[Array, Array]:
     """Two-sided 95 % bounds of a chi-square variable with ``dof`` degrees of freedom (array)."""
-    from scipy.stats import chi2
-
     tail = (1.0 - LEVEL) / 2.0
-    return np.asarray(chi2.ppf(tail, dof)), np.asarray(chi2.ppf(1.0 - tail, dof))
+    return np.asarray(chdtri(dof, 1.0 - tail)), np.asarray(chdtri(dof, tail))
 
 
 @dataclass
@@ -189,8 +187,6 @@ def _quantiles(values: Array, levels: tuple[float, ...]) -> Array:
 
 def _expanded(means: Array, n: Array) -> tuple[Array, Array]:
     """Percentiles of bootstrap means (draws, cells), expanded so that the interval has Student's width for ``n`` runs."""
-    from scipy.special import ndtr, stdtrit
-
     ordered = np.sort(means, axis=0)
     drawn = np.isfinite(ordered).sum(axis=0)
     tail = ndtr(-np.sqrt(n / (n - 1.0)) * stdtrit(n - 1.0, 0.5 + LEVEL / 2.0))

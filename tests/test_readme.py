@@ -82,7 +82,7 @@ def check_output(block: Block, output: str) -> None:
 def test_every_block_runs_and_prints_what_is_pasted(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TESTBED_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("testbed.report.figures.save_figures", lambda *_args, **_options: {})
+    monkeypatch.setattr("testbed.report.figures.drawings", lambda _result: {})
     namespace: dict[str, object] = {}
     output = ""
     for block in blocks():

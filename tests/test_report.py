@@ -224,6 +224,32 @@ def test_index_counts_verdicts_and_links(folder: Path, tmp_path: Path) -> None:
     assert "imm-rstekf has the lowest" in page.with_suffix(".md").read_text()
 
 
+def test_index_has_one_row_per_scenario_with_its_variants_and_studies_behind_it(tmp_path: Path) -> None:
+    names = ("as-it-stands", "wind", "another")
+    folders = [make_result(tmp_path / name, factors={"a": 1.0, "b": 2.0}, runs=3) for name in names]
+    changes: list[dict[str, object]] = [
+        {"variant": None},
+        {"variant": "wind"},
+        {"scenario": "another", "variant": None},
+    ]
+    for folder, change in zip(folders, changes, strict=True):
+        path = folder / "manifest.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | change))
+        render(folder)
+    study = tmp_path / "study"
+    study.mkdir()
+    told = {"scenario": "s", "variant": None, "title": "Tuned", "source": "", "sentence": "No gain.", "runs": 7}
+    (study / "report.json").write_text(json.dumps(told | {"verdicts": ["not reproduced", "in part: here"]}))
+    page = render_index([folders[1], folders[0], folders[2], study], tmp_path / "site")
+    rows = re.findall(r"<tr>.*?</tr>", page.read_text(), flags=re.DOTALL)[1:]
+    links = [re.findall(r'<a href="\.\./([^/"]+)[^"]*">', row) for row in rows]
+    assert links == [["as-it-stands", "wind"], ["another"], ["study"]]
+    assert "3 scenarios, 4 reports" in page.read_text()
+    assert (
+        "1 in part" in rows[2] and "1 not reproduced" in rows[2] and "No gain." in page.with_suffix(".md").read_text()
+    )
+
+
 def test_numbers_have_three_figures() -> None:
     found = [number(x) for x in (0.04217, 1.4012, 12.34, 712.72, 10542.0, 0.99951, 0.0, -2.5, float("nan"), None)]
     assert found == ["0.0422", "1.40", "12.3", "713", "10542", "1.00", "0", "−2.50", "–", "–"]

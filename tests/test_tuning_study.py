@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import json
 import os
 import shutil
 import subprocess
@@ -255,6 +257,10 @@ def test_report(study, tmp_path):
         "table4.csv",
     ):
         assert (tmp_path / name).stat().st_size > 0
+    page, entry = (tmp_path / "report.html").read_text(), json.loads((tmp_path / "report.json").read_text())
+    assert page.count('src="data:image/png;base64,') == 4 and "<table>" in page and "http:" not in page
+    assert entry["sentence"] in html.unescape(page)
+    assert all(f"**{verdict}**" in text for verdict in entry["verdicts"])
 
 
 def test_publish_keeps_what_the_report_needs(study, tmp_path):
@@ -308,7 +314,7 @@ def test_command(tmp_path, capsys):
         jobs=1,
     )
     captured = capsys.readouterr()
-    assert "data-sheet" in captured.out and "pso-0002-seed2" in captured.out and "report.md" in captured.out
+    assert "data-sheet" in captured.out and "pso-0002-seed2" in captured.out and "report.html" in captured.out
     assert "left" in captured.err and "best" in captured.err
     with pytest.raises(InputError, match="whole numbers"):
         tune_command(scenario(), tmp_path / "t", iterations="many")

@@ -15,14 +15,29 @@ def render(result_dir: str | Path, svg: bool = True) -> None:
 
     Raises InputError when the folder holds no result.
     """
+    import os
+    from functools import partial
+
+    import matplotlib.backends.backend_agg
+    import matplotlib.figure  # once, before the work is shared  # noqa: F401
+
+    from testbed.forking import share
     from testbed.report import figures, html, text
     from testbed.report.results import load_result
 
     result = load_result(result_dir)
-    drawn = figures.save_figures(result, result.folder / "figures", svg=svg)
-    (result.folder / "report.md").write_text(text.markdown(result, drawn), encoding="utf-8")
-    (result.folder / "tables.tex").write_text(text.latex(result), encoding="utf-8")
-    (result.folder / "report.html").write_text(html.page(result), encoding="utf-8")
+    pictures = result.folder / "figures"
+    pictures.mkdir(parents=True, exist_ok=True)
+    drawn = {f"{name}.png": drawing for name, drawing in figures.drawings(result).items()}
+
+    def write_texts() -> None:
+        captions = {name: drawing.caption for name, drawing in drawn.items()}
+        (result.folder / "report.md").write_text(text.markdown(result, captions), encoding="utf-8")
+        (result.folder / "tables.tex").write_text(text.latex(result), encoding="utf-8")
+        (result.folder / "report.html").write_text(html.page(result), encoding="utf-8")
+
+    figure_tasks = [partial(figures.save, drawing, pictures / name, svg) for name, drawing in drawn.items()]
+    share([write_texts, *figure_tasks], os.cpu_count() or 1)
 
 
 def render_index(dirs: Iterable[str | Path], out: str | Path) -> Path:

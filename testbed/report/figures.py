@@ -1,4 +1,4 @@
-"""Figures at paper size: plain functions on data frames that return matplotlib figures, and `save_figures` that writes them.
+"""Figures at paper size: plain functions on data frames that return matplotlib figures; `drawings` lists those of a result.
 
 Shown: ground track, 3-D path, errors with three sigma, RMSE, Monte Carlo spread, envelopes, consistency, what a filter adds.
 Metres from the start, m/s, degrees, seconds.
@@ -6,9 +6,10 @@ Metres from the start, m/s, degrees, seconds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -44,8 +45,17 @@ STYLE: Any = {
     "svg.fonttype": "none",
     "path.simplify_threshold": 0.5,
 }
+DPI = 120
+PLAIN = "{x:g}"  # tick labels: a power of ten as mathematics takes ten times as long to set
 Spans = Sequence[tuple[float, float]]
 Phases = Sequence[tuple[str, float, float]]
+
+
+class Drawing(NamedTuple):
+    """A figure that can be drawn, and its caption."""
+
+    draw: Callable[[], Figure]
+    caption: str
 
 
 def ground_track(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], outages: Spans = ()) -> Figure:
@@ -133,6 +143,7 @@ def rmse_bars(summary: pd.DataFrame, estimators: Sequence[str], window: str) -> 
             tops.append(np.nanmax(mean) if np.isfinite(mean).any() else np.nan)
         if np.isfinite(tops).any() and np.nanmax(tops) > 30 * np.nanmin(tops):
             ax.set_yscale("log")
+            ax.yaxis.set_major_formatter(PLAIN)
         names = [quantity_label(q).replace(" velocity", "") for q in quantities]
         ax.set_xticks(range(3), names)
         ax.set_title(f"{group} RMSE, {unit(quantities[0])}", fontsize=8, loc="left")
@@ -157,6 +168,7 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
         everything = np.concatenate(values)
         if len(everything) and everything.min() > 0 and everything.max() > 30 * everything.min():
             ax.set_xscale("log")
+            ax.xaxis.set_major_formatter(PLAIN)
         ax.set_xlabel(f"{quantity_label(metric.removeprefix('rmse_'))} RMSE, {unit(metric)}")
     axes[0].set_yticks(range(1, len(estimators) + 1), estimators)
     axes[0].invert_yaxis()
@@ -209,7 +221,7 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str]) -> Figure:
     low, high = max(ax.get_xlim()[0], FAR), ax.get_xlim()[1]
     ax.set_xlim(low, high)
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,)))
-    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_major_formatter(PLAIN)
     ax.xaxis.set_minor_formatter("")
     ax.invert_yaxis()
     _legend(figure, ax)
@@ -242,53 +254,48 @@ def extras(
     return figure
 
 
-def build(result: Result) -> dict[str, tuple[Figure, str]]:
-    """Every figure that the result has data for: name -> (figure, caption)."""
+def drawings(result: Result) -> dict[str, Drawing]:
+    """Every figure that the result has data for, by name."""
     lead = headline(result)
     lines = compared(result, lead.winner)
     estimates = {label: thin(result.errors[label], POINTS) for label in lines if label in result.errors}
     spans, phases = result.outages, result.phases
-    drawn: dict[str, tuple[Figure, str]] = {}
+    found: dict[str, Drawing] = {}
+
+    def add(name: str, caption: str, draw: Callable[..., Figure], *arguments: object) -> None:
+        found[name] = Drawing(partial(draw, *arguments), caption)
+
     if len(result.truth) and estimates:
         truth = thin(result.truth, POINTS)
-        drawn["ground_track"] = ground_track(truth, estimates, spans), "Ground track of run 0; broad grey: no GNSS."
-        drawn["path_3d"] = path_3d(truth, estimates), "Path of run 0 in space."
+        add("ground_track", "Ground track of run 0; broad grey: no GNSS.", ground_track, truth, estimates, spans)
+        add("path_3d", "Path of run 0 in space.", path_3d, truth, estimates)
     for group, quantities in GROUPS.items():
         have = {e: f for e, f in estimates.items() if f[quantities].notna().any(axis=None)}
         if have:
-            figure = error_traces(have, quantities, spans, phases, lead.winner)
-            drawn[f"error_{group.lower()}"] = (
-                figure,
-                f"{group} error of run 0 with ±3σ of {lead.winner}; shaded: no GNSS.",
-            )
+            caption = f"{group} error of run 0 with ±3σ of {lead.winner}; shaded: no GNSS."
+            add(f"error_{group.lower()}", caption, error_traces, have, quantities, spans, phases, lead.winner)
     if result.estimators:
-        drawn["rmse"] = (
-            rmse_bars(result.summary, lines, lead.window),
-            "Mean RMSE over the runs with 95 % intervals.",
-        )
+        add("rmse", "Mean RMSE over the runs with 95 % intervals.", rmse_bars, result.summary, lines, lead.window)
     metrics = ["rmse_position_3d_m", "rmse_velocity_3d_mps", "rmse_attitude_deg"]
     per_run = result.per_run(metrics, lead.window).dropna(subset=["value"])
     if len(per_run):
         shown = [m for m in metrics if (per_run["metric"] == m).any()]
-        drawn["monte_carlo"] = (
-            spread(per_run, result.estimators, shown),
-            "Spread over the runs: median, quartiles, 5 and 95 %.",
-        )
+        caption = "Spread over the runs: median, quartiles, 5 and 95 %."
+        add("monte_carlo", caption, spread, per_run, result.estimators, shown)
     table = result.envelopes.dropna(subset=["rms"])
     if len(table := table[table["estimator"].isin(lines)]):
         group = "Position" if table["quantity"].isin(GROUPS["Position"]).any() else "Attitude"
         caption = f"{group} error over the runs: RMS (line) and the filters' own sigma (dotted)."
-        drawn["envelope"] = envelopes(table, GROUPS[group], spans, phases), caption
+        add("envelope", caption, envelopes, table, GROUPS[group], spans, phases)
     if len(table := result.consistency.dropna(subset=["mean"])):
-        drawn["consistency"] = consistency(table, lines), "NEES and NIS relative to their expected value."
-    drawn |= innovations.figures(result, lead.winner)
+        add("consistency", "NEES and NIS relative to their expected value.", consistency, table, lines)
+    for name, (channels, label, colour) in innovations.figures(result, lead.winner).items():
+        add(name, innovations.CAPTION.format(label), innovations.figure, channels, label, colour, spans)
     for label, frame in list(result.extras.items())[:MOST_EXTRAS]:
-        slug = result.info["estimators"][label]
-        drawn[f"extras_{slug}"] = (
-            extras(frame, label, spans, phases, result.components(label)),
-            f"Beside the state, {label}, run 0.",
-        )
-    return drawn
+        name = f"extras_{result.info['estimators'][label]}"
+        components = result.components(label)
+        add(name, f"Beside the state, {label}, run 0.", extras, frame, label, spans, phases, components)
+    return found
 
 
 def compared(result: Result, winner: str) -> list[str]:
@@ -301,19 +308,15 @@ def compared(result: Result, winner: str) -> list[str]:
     return [label for label in result.estimators if label in chosen]
 
 
-def save_figures(result: Result, folder: Path, svg: bool = True, dpi: int = 120) -> dict[str, str]:
-    """Write every figure as PNG (and SVG). Returns file name -> caption of the PNGs."""
+def save(drawing: Drawing, path: Path, svg: bool = True) -> None:
+    """Draw a figure and write it as PNG, ``path`` (and SVG beside it)."""
     import matplotlib
 
-    folder.mkdir(parents=True, exist_ok=True)
-    names = {}
     with matplotlib.rc_context(STYLE):
-        for name, (figure, caption) in build(result).items():
-            figure.savefig(folder / f"{name}.png", dpi=dpi, metadata={"Software": None})
-            if svg:
-                figure.savefig(folder / f"{name}.svg", metadata={"Date": None, "Creator": None})
-            names[f"{name}.png"] = caption
-    return names
+        figure = drawing.draw()
+        figure.savefig(path, dpi=DPI, metadata={"Software": None})
+        if svg:
+            figure.savefig(path.with_suffix(".svg"), metadata={"Date": None, "Creator": None})
 
 
 def _figure(height: float) -> Figure:
@@ -330,7 +333,8 @@ def _panels(figure: Figure, rows: int) -> list[Axes]:
     axes = np.atleast_1d(figure.subplots(rows, 1, sharex=True))
     figure.subplots_adjust(left=0.11, right=0.985, bottom=0.40 / height, top=1 - 0.42 / height, hspace=0.14)
     axes[-1].set_xlabel("Time, s")
-    figure.align_ylabels(list(axes))
+    for ax in axes:
+        ax.yaxis.set_label_coords(-0.085, 0.5)  # aligned without measuring every tick label
     return list(axes)
 
 
@@ -357,6 +361,7 @@ def _squeeze(ax: Axes, series: Sequence[np.ndarray], signed: bool = True) -> Non
     if len(sizes) > 1 and max(sizes) > 30 * min(sizes) and min(sizes) > 0:
         threshold = 10.0 ** np.ceil(np.log10(min(sizes)))
         ax.set_yscale("symlog", linthresh=threshold)
+        ax.yaxis.set_major_formatter(PLAIN)
         top = 1.3 * max(sizes)
         ax.set_ylim(-top if signed else 0.0, top)
 

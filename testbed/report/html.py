@@ -12,6 +12,7 @@ import json
 from functools import cache
 from importlib import resources
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 from testbed.report import innovations, provenance, tables
@@ -66,18 +67,37 @@ def asset(name: str) -> str:
     return (ASSETS / name).read_text(encoding="utf-8")
 
 
-def markdown(text: str) -> str:
-    """Markdown as HTML, headings two levels down; markup in the text is shown, not obeyed."""
+def document(title: str, kind: str, headline: str, text: str, folder: Path) -> str:
+    """A page of Markdown ``text`` with the pictures that it names from ``folder``, embedded."""
+    body = markdown(text, deeper=0, pictures=folder)
+    values = {"title": title, "kind": kind, "headline": headline, "body": body}
+    return str(template("document.html.j2").render(**values, style=asset("report.css"), script=asset("index.js")))
+
+
+def markdown(text: str, deeper: int = 2, pictures: Path | None = None) -> str:
+    """Markdown as HTML, headings some levels down; markup in the text is shown, not obeyed.
+
+    Pictures are left out, or those that lie in the folder ``pictures`` are embedded.
+    """
     from markdown_it import MarkdownIt
 
     if not text:
         return ""
-    parser = MarkdownIt("commonmark", {"html": False}).enable("table").disable("image")
+    parser = MarkdownIt("commonmark", {"html": False}).enable("table")
+    if pictures is None:
+        parser.disable("image")
     tokens = parser.parse(text)
     for token in tokens:
         if token.type in ("heading_open", "heading_close"):
-            token.tag = f"h{min(6, int(token.tag[1]) + 2)}"
+            token.tag = f"h{min(6, int(token.tag[1]) + deeper)}"
+        for child in token.children or []:
+            if child.type == "image" and pictures is not None:
+                child.attrSet("src", _embedded_picture(pictures / str(child.attrGet("src"))))
     return str(parser.renderer.render(tokens, parser.options, {}))
+
+
+def _embedded_picture(path: Path) -> str:
+    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
 
 def _spans(columns: list[tables.Column]) -> list[tuple[str, int]]:

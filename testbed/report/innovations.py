@@ -27,6 +27,7 @@ FEWEST = 50
 """Below this number of innovations neither test says anything."""
 PREFERRED = ("north, m/s", "east, m")
 """Channels shown where a filter has them; else its first two."""
+CAPTION = "Innovations of {}, run 0: ±2√S, histogram with the normal curve, autocorrelation with its bound."
 INSIDE_PCT = 95.45
 """Share of a normal distribution within two sigma."""
 Spans = Sequence[tuple[float, float]]
@@ -172,17 +173,13 @@ def chosen(result: Result, winner: str) -> list[str]:
     return [label for label in dict.fromkeys((proposed, winner)) if label in result.innovations]
 
 
-def figures(result: Result, winner: str) -> dict[str, tuple[Figure, str]]:
-    """File name -> (figure, caption) of the filters worth one."""
+def figures(result: Result, winner: str) -> dict[str, tuple[list[Channel], str, int]]:
+    """Name -> (channels, label, number of the colour) of the filters worth a `figure`."""
     found = {}
     for label in chosen(result, winner):
         if channels := analyse(result.innovations[label], result.channels(label), result.outages):
             colour = result.estimators.index(label) if label in result.estimators else 0
-            caption = (
-                f"Innovations of {label}, run 0: ±2√S, histogram with the normal curve, autocorrelation with its bound."
-            )
-            name = f"innovations_{result.info['estimators'][label]}"
-            found[name] = figure(channels, label, colour, result.outages), caption
+            found[f"innovations_{result.info['estimators'][label]}"] = channels, label, colour
     return found
 
 
@@ -191,9 +188,11 @@ def figure(channels: Sequence[Channel], label: str, colour: int, outages: Spans 
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    drawn = Figure(figsize=(6.3, 0.7 + 1.75 * len(channels)), layout="constrained")
+    height = 0.7 + 1.75 * len(channels)
+    drawn = Figure(figsize=(6.3, height))
     FigureCanvasAgg(drawn)
     axes = drawn.subplots(len(channels), 3, squeeze=False, width_ratios=(2.2, 1.0, 1.0))
+    drawn.subplots_adjust(0.10, 0.42 / height, 0.99, 1.0 - 0.25 / height, wspace=0.24, hspace=0.2)
     shade = COLOURS[colour % len(COLOURS)][0]
     for row, channel in zip(axes, channels, strict=True):
         _draw_series(row[0], channel, shade, outages)
@@ -217,6 +216,7 @@ def _draw_series(ax: Axes, channel: Channel, shade: str, outages: Spans) -> None
     for a, b in outages:
         ax.axvspan(a, b, color="#000000", alpha=0.10, lw=0)
     ax.set(ylabel=channel.name, ylim=(-limit, limit))
+    ax.yaxis.set_label_coords(-0.15, 0.5)
     ax.margins(x=0)
     words: dict[str, Any] = {"transform": ax.transAxes, "fontsize": 7, "va": "top"}
     ax.text(0.02, 0.97, f"{channel.inside_pct:.0f} % inside", **words)

@@ -51,7 +51,7 @@ def tune(
     if only is None:
         print_study(folder)
         write_report(folder)
-        print(f"report: {folder / 'report.md'}; parameter files: {folder / 'best'}")
+        print(f"report: {folder / 'report.html'}; parameter files: {folder / 'best'}")
 
 
 def print_study(folder: Path) -> None:

@@ -5,7 +5,9 @@ Objective: sum of the scenario's metrics (m, m/s, degrees). The paper's figures 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +62,7 @@ class Study:
 def write_report(
     folder: str | Path, out: str | Path | None = None, figures: bool = True, others: Sequence[Path] = ()
 ) -> Path:
-    """Write ``report.md`` and its tables and figures to ``out`` (default: the study's folder); returns the text's path.
+    """Write ``report.md``, ``report.html``, tables and figures to ``out`` (default: the study's folder); returns the text's path.
 
     ``others`` are studies that were scored on the same unseen runs, to stand in one table with this one; what `write_speed` and
     `write_functions` left in ``out`` is shown. Raises InputError when the folder holds no finished study.
@@ -68,7 +70,7 @@ def write_report(
     study = Study(Path(folder))
     target = Path(out) if out is not None else study.folder
     ranks = tables.rank_sums(study.statistics[_of_paper(study.statistics.columns, study)])
-    beside = comparison(study)
+    beside, verdicts = comparison(study), claims(study, ranks)
     for name, table in (
         ("table2.csv", beside),
         ("table4.csv", ranks.reset_index(names="algorithm")),
@@ -78,7 +80,7 @@ def write_report(
     parts = [
         f"# {study.manifest['title'] or study.manifest['scenario']}\n",
         _what_was_run(study),
-        *_claims(study, ranks),
+        *_claim_lines(verdicts),
         "## Fitness and time beside the paper's\n",
         markdown(_rows_of(beside, ("fitness", "hours"))),
         "## RMSE of the best candidates on the flight they were tuned on (mean over searches)\n",
@@ -99,7 +101,31 @@ def write_report(
         parts += _figures(study, target)
     path = target / "report.md"
     write_atomic(path, "\n".join(parts).encode())
+    write_page(study, path, verdicts)
     return path
+
+
+def write_page(study: Study, text: Path, verdicts: Sequence[Claim]) -> None:
+    """``report.html`` from ``report.md`` and ``findings.md`` beside it, and ``report.json``: what an index shows of the study."""
+    from testbed.report import html
+
+    findings = text.with_name("findings.md")
+    source = text.read_text(encoding="utf-8").partition("\n")[2]
+    if findings.is_file():
+        source = f"## Findings\n\n{findings.read_text(encoding='utf-8')}\n{source}"
+    title = str(study.manifest["title"] or study.manifest["scenario"])
+    entry = {
+        "scenario": study.manifest["scenario"],
+        "variant": study.manifest["variant"],
+        "title": title + (f", {study.manifest['variant']}" if study.manifest["variant"] else ""),
+        "source": study.scenario.scenario.source,
+        "sentence": headline(study),
+        "runs": len(study.config.test_runs),
+        "verdicts": [claim.verdict for claim in verdicts],
+    }
+    page = html.document(entry["title"], "Navigation testbed, tuning study", entry["sentence"], source, text.parent)
+    write_atomic(text.with_suffix(".html"), page.encode())
+    write_atomic(text.with_suffix(".json"), (json.dumps(entry, indent=1) + "\n").encode())
 
 
 def write_functions(folder: str | Path, **settings: Any) -> Path:
@@ -227,50 +253,76 @@ def _what_was_run(study: Study) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _claims(study: Study, ranks: pd.DataFrame) -> list[str]:
+@dataclass(frozen=True)
+class Claim:
+    """What a paper says, what was found (a verdict of `testbed.claims`, or a longer one that begins like it), and why."""
+
+    text: str
+    verdict: str
+    why: str
+
+
+def claims(study: Study, ranks: pd.DataFrame) -> list[Claim]:
     """Verdicts on the paper's three claims, from the tables."""
-    own = [a for a in study.algorithms if a in ranks.index]
-    fitness = {s: study.statistics.loc[("fitness", s), own] for s in ("min", "mean", "variance")}
-    several = study.lines.groupby("algorithm").size().min() > 1
-    best = {s: v.astype(float).idxmin() for s, v in fitness.items() if own and v.notna().all()}
+    found = []
     claimed = study.paper("fitness", "mean")
     favourite = min(claimed, key=lambda a: claimed[a]) if claimed else ""
-    order = list(ranks.sort_values("rank_sum").index)
-    paper_ranks = study.paper("rank_sum")
-    rows = ["## Claims\n"]
+    own = [a for a in study.algorithms if a in ranks.index]
     if favourite in own:
-        holds = all(v == favourite for v in best.values())
-        full = several and int(study.searches["evaluations"].sum()) >= TABLE_EVALUATIONS // 5
-        verdict = (
-            ("confirmed" if holds else "refuted")
-            if full
-            else f"{'supported' if holds else 'not supported'} by this reduced set"
+        fitness = {s: study.statistics.loc[("fitness", s), own].astype(float) for s in ("min", "mean", "variance")}
+        best = {s: v.idxmin() for s, v in fitness.items() if v.notna().all()}
+        order = list(ranks.sort_values("rank_sum").index)
+        paper_ranks = study.paper("rank_sum")
+        why = f"Best {', '.join(f'{s}: {a}' for s, a in best.items())}. Order by rank sum: {', '.join(order)}; the paper's:"
+        found.append(
+            Claim(
+                f"{favourite.upper()} has the best fitness of the paper's algorithms",
+                "reproduced" if all(a == favourite for a in best.values()) else "not reproduced",
+                f"{why} {', '.join(sorted(paper_ranks, key=lambda a: paper_ranks[a]))}.",
+            )
         )
-        found = ", ".join(f"{s}: {a}" for s, a in best.items())
-        rows.append(
-            f"1. {favourite.upper()} has the best fitness of the paper's algorithms: **{verdict}** (best {found})."
-        )
-        paper_order = sorted(paper_ranks, key=lambda a: paper_ranks[a])
-        rows.append(f"   Order by rank sum: {', '.join(order)}; the paper's: {', '.join(paper_order)}.")
     tuned = study.heldout[study.heldout["improvement_pct"].notna() & ~study.heldout["row"].str.startswith(INNOVATIONS)]
     if len(tuned):
-        better = tuned[tuned["ci_low"] > 0.0]
-        worse = tuned[tuned["ci_high"] < 0.0]
-        base = study.heldout.set_index("row").loc[DATA_SHEET]
-        seen = int((study.heldout.set_index("row").loc[tuned["row"], "train"] < base["train"]).sum())
-        unseen = "confirmed" if len(better) == len(tuned) else "partly" if len(better) else ""
-        verdict = unseen or ("only on the flight that they were tuned on" if seen else "refuted here")
-        rows.append(
-            f"2. Tuned settings beat the data sheet: **{verdict}**. On the flight they were tuned on {seen} of {len(tuned)} do; on unseen"
-            f" runs {len(better)} of {len(tuned)} are better and {len(worse)} worse with an interval that excludes zero."
+        better, worse = int((tuned["ci_low"] > 0.0).sum()), int((tuned["ci_high"] < 0.0).sum())
+        train = study.heldout.set_index("row")["train"]
+        seen = int((train.loc[tuned["row"]] < train.loc[DATA_SHEET]).sum())
+        partly = "in part" if better else "in part: only on the flight that they were tuned on" if seen else ""
+        found.append(
+            Claim(
+                "Tuned settings beat the data sheet",
+                "reproduced" if better == len(tuned) else partly or "not reproduced",
+                f"On the flight they were tuned on {seen} of {len(tuned)} do; on unseen runs {better} of {len(tuned)} are better and"
+                f" {worse} worse with an interval that excludes zero.",
+            )
         )
     if claimed:
-        per = study.timings["seconds"].sum() / study.searches["evaluations"].sum()
-        rows.append(
-            f"3. Tuning takes 12 to 84 hours per search: **refuted as a necessity**. A search of the paper's size (5,000 to 25,000 evaluations)"
-            f" takes {5000 * per / 3600:.1f} to {25000 * per / 3600:.1f} h here."
+        per = study.timings["seconds"].sum() / study.searches["evaluations"].sum() / 3600.0
+        found.append(
+            Claim(
+                "Tuning takes 12 to 84 hours per search",
+                "not reproduced",
+                f"A search of the paper's size (5,000 to 25,000 evaluations) takes {5000 * per:.1f} to {25000 * per:.1f} h here.",
+            )
         )
-    return [*rows, ""]
+    return found
+
+
+def headline(study: Study) -> str:
+    """The study in one sentence: the best settings on unseen runs against the data sheet."""
+    rows = study.heldout[study.heldout["improvement_pct"].notna()].sort_values("test", kind="stable")
+    if rows.empty:
+        return "Nothing was scored on unseen runs."
+    best = rows.iloc[0]
+    side = "below" if best["improvement_pct"] > 0 else "above"
+    return (
+        f"On unseen runs the best search ({best['row']}) stands {abs(best['improvement_pct']):.1f} % {side} the data sheet's"
+        f" objective (95 % interval of the improvement {best['ci_low']:.1f} to {best['ci_high']:.1f} %)."
+    )
+
+
+def _claim_lines(verdicts: Sequence[Claim]) -> list[str]:
+    lines = [f"{k}. {claim.text}: **{claim.verdict}**. {claim.why}" for k, claim in enumerate(verdicts, 1)]
+    return ["## Claims\n", *lines, ""]
 
 
 def _rank_table(study: Study, ranks: pd.DataFrame) -> pd.DataFrame:

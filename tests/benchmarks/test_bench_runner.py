@@ -139,8 +139,12 @@ def result(tmp_path_factory):
 def test_report_of_the_quickstart(benchmark, result, part):
     from testbed.report import figures, html, text
 
+    def draw() -> None:
+        for name, drawing in figures.drawings(result).items():
+            figures.save(drawing, result.folder / f"{name}.png", svg=False)
+
     work = {
-        "figures": lambda: figures.save_figures(result, result.folder / "figures", svg=False),
+        "figures": draw,
         "markdown": lambda: text.markdown(result, {}),
         "html": lambda: html.page(result),
     }[part]

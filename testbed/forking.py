@@ -1,0 +1,66 @@
+"""Child processes that begin as copies of this one: modules imported, kernels loaded, flights in memory.
+
+A copy starts in milliseconds where a fresh interpreter needs two seconds of imports. It is made only where that is safe.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing import get_context
+
+THREADED = ("torch", "sklearn", "distributed")
+"""Libraries whose own threads, once started, do not live on in a copy, which then waits for them."""
+
+
+def can_fork() -> bool:
+    """Whether a copy of this process would work: on Linux, from the only Python thread, with none of `THREADED` loaded."""
+    alone = threading.active_count() == 1 and threading.current_thread() is threading.main_thread()
+    return sys.platform == "linux" and alone and not any(name in sys.modules for name in THREADED)
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Without Python's warning of threads at a fork: what is left after `can_fork` is BLAS and Arrow, which look after it."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*fork.*", category=DeprecationWarning)
+        yield
+
+
+def share(tasks: Sequence[Callable[[], object]], processes: int) -> None:
+    """Do all tasks, dealt out to this process and copies of it; one after the other where it cannot be copied.
+
+    A task counts for what it leaves on the disk. What fails in a copy is done again here, so that its error is raised.
+    """
+    if processes < 2 or len(tasks) < 2 or not can_fork():
+        _do(tasks)
+        return
+    hands = [tasks[k::processes] for k in range(min(processes, len(tasks)))]
+    with quietly():
+        copies = [get_context("fork").Process(target=_do_and_leave, args=(hand,)) for hand in hands[1:]]
+        for copy in copies:
+            copy.start()
+    try:
+        _do(hands[0])
+    finally:
+        for copy in copies:
+            copy.join()
+    for copy, hand in zip(copies, hands[1:], strict=True):
+        if copy.exitcode:
+            _do(hand)
+
+
+def _do(tasks: Sequence[Callable[[], object]]) -> None:
+    for task in tasks:
+        task()
+
+
+def _do_and_leave(tasks: Sequence[Callable[[], object]]) -> None:
+    try:
+        _do(tasks)
+    except BaseException:
+        os._exit(1)
