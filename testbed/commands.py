@@ -36,7 +36,7 @@ def run(
 ) -> None:
     """``testbed run``: the Monte Carlo, the table on screen, the report. ``load`` makes the scenario from overrides."""
     import testbed.runner
-    from testbed.report import render
+    from testbed.report import preload, render
 
     scenario = _choose_estimators(load({}), estimators)
     folder = out or Path("results") / scenario.name
@@ -46,7 +46,13 @@ def run(
         _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=count, **options)
         return
     _announce_compilation()
-    with progress_line("runs") as tell:
+    with progress_line("runs") as show:
+
+        def tell(done: int, total: int) -> None:
+            show(done, total)
+            if report and not done:
+                preload()  # while the workers are at it
+
         result = testbed.runner.run(scenario, folder, runs=count, progress=tell, **options)
     print_summary(scenario, result.summary, result.runs)
     sys.stdout.flush()

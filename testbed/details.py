@@ -65,21 +65,22 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
     return files
 
 
-def axis_sigmas(solution: NavSolution) -> Array | None:
-    """(N,9) the filter's own 1-sigma in the order of `metrics.AXES`, or None where it gives none.
+def axis_sigmas(solution: NavSolution, rows: Any = slice(None)) -> Array | None:
+    """(N,9) the filter's own 1-sigma in the order of `metrics.AXES`, at all times or some rows; None where it gives none.
 
     Euler-angle sigmas come from the rotation-vector sigmas through the inverse of `rotations.euler_error_matrix`, without
     the correlations, which ``std`` does not carry.
     """
     if solution.std is None:
         return None
-    _, pitch, yaw = rotations.quats_to_eulers(solution.q_nb).T
+    std = solution.std[rows]
+    _, pitch, yaw = rotations.quats_to_eulers(solution.q_nb[rows]).T
     cos_p, tan_p, sin_y, cos_y = np.cos(pitch), np.tan(pitch), np.sin(yaw), np.cos(yaw)
-    north, east, down = (solution.std[:, 6:9] ** 2).T
+    north, east, down = (std[:, 6:9] ** 2).T
     roll = (cos_y**2 * north + sin_y**2 * east) / cos_p**2
     level = sin_y**2 * north + cos_y**2 * east
     heading = down + tan_p**2 * (cos_y**2 * north + sin_y**2 * east)
-    return np.column_stack([solution.std[:, :6], np.degrees(np.sqrt(np.column_stack([roll, level, heading])))])
+    return np.column_stack([std[:, :6], np.degrees(np.sqrt(np.column_stack([roll, level, heading])))])
 
 
 def _slugs(rows: Sequence[str]) -> dict[str, str]:

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from testbed import earth, rotations
@@ -142,18 +143,40 @@ def score_rows(
     quantities = series.quantities()
     rows: list[tuple[str, str, float]] = []
     for window in windows:
-        parts = [quantities[a:b] for a, b in _spans(series.t, window) if b > a]
-        if parts:
-            values = parts[0] if len(parts) == 1 else np.concatenate(parts)
-            final = np.array([part[-1] for part in parts])
-            table = (_rms(values), np.abs(values).max(axis=0), _rms(final), values.mean(axis=0))
-            for statistic, row in zip(STATISTICS, table, strict=True):
+        spans = np.array([(a, b) for a, b in _spans(series.t, window) if b > a], dtype=np.int64)
+        if len(spans):
+            for statistic, row in zip(STATISTICS, _described(quantities, spans), strict=True):
                 rows += [(window.name, f"{statistic}_{q}", float(v)) for q, v in zip(QUANTITIES, row, strict=True)]
         for name, test in tests.items():
             inside = np.concatenate([test.value[a:b] for a, b in _spans(test.t, window)])
             if len(inside):
                 rows.append((window.name, name, float(inside.mean())))
     return rows
+
+
+@njit(cache=True)
+def _described(values, spans):
+    """(4,n): root mean square, largest size, root mean square of the last rows, and mean of (N,n) over spans (M,2) of rows."""
+    n = values.shape[1]
+    out = np.zeros((4, n))
+    count = 0
+    for j in range(spans.shape[0]):
+        a, b = spans[j, 0], spans[j, 1]
+        count += b - a
+        for k in range(a, b):
+            for i in range(n):
+                x = values[k, i]
+                out[0, i] += x * x
+                out[3, i] += x
+                if abs(x) > out[1, i] or x != x:
+                    out[1, i] = abs(x)
+        for i in range(n):
+            out[2, i] += values[b - 1, i] ** 2
+    for i in range(n):
+        out[0, i] = np.sqrt(out[0, i] / count)
+        out[2, i] = np.sqrt(out[2, i] / spans.shape[0])
+        out[3, i] /= count
+    return out
 
 
 def consistency(

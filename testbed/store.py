@@ -161,16 +161,7 @@ class Store:
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file of the folder atomically. Raises StoreError when the disk does not take it."""
-        path = self.out / name
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        with writing(self.out):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                temporary.write_bytes(content)
-                temporary.replace(path)
-            except BaseException:
-                temporary.unlink(missing_ok=True)
-                raise
+        write_atomic(self.out / name, content, self.out)
 
     def run_path(self, run: int) -> Path:
         """The file of a run."""
@@ -239,6 +230,19 @@ def writing(out: Path) -> Iterator[None]:
         else:
             reason = f"cannot write: {error.strerror or error}; once that is mended, run the same command with --resume"
         raise StoreError(f"{out}: {reason}") from error
+
+
+def write_atomic(path: Path, content: bytes, folder: Path | None = None) -> None:
+    """Write a whole file or none. Raises StoreError, which names ``folder`` or the file's own, when the disk does not take it."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with writing(folder or path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            temporary.write_bytes(content)
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
 
 
 def _clear(out: Path) -> None:

@@ -230,11 +230,10 @@ def time_series(
 
     for i, name in enumerate(metrics.AXES):
         out[name] = sampled(series.values[:, i])
-    sigma = details.axis_sigmas(solution)
+    sigma = details.axis_sigmas(solution, metrics.nearest_rows(solution.t, grid))
     if sigma is not None:
-        rows = metrics.nearest_rows(solution.t, grid)
         for i, name in enumerate(metrics.AXES):
-            out[f"sigma_{name}"] = np.where(covered, sigma[rows, i], np.nan).astype(np.float32)
+            out[f"sigma_{name}"] = np.where(covered, sigma[:, i], np.nan).astype(np.float32)
     if len(grid) < 2:
         return out
     half = 0.5 * (grid[1] - grid[0])

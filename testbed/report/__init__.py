@@ -10,6 +10,15 @@ from collections.abc import Iterable
 from pathlib import Path
 
 
+def preload() -> None:
+    """Import what a report is made with, which takes a second."""
+    import matplotlib.backends.backend_agg
+    import matplotlib.figure  # noqa: F401
+
+    import testbed.report.figures
+    import testbed.report.html  # noqa: F401
+
+
 def render(result_dir: str | Path, svg: bool = True) -> None:
     """Write ``report.html``, ``report.md``, ``tables.tex`` and ``figures/*.png`` (and ``*.svg``) into a result folder.
 
@@ -18,13 +27,11 @@ def render(result_dir: str | Path, svg: bool = True) -> None:
     import os
     from functools import partial
 
-    import matplotlib.backends.backend_agg
-    import matplotlib.figure  # once, before the work is shared  # noqa: F401
-
     from testbed.forking import share
     from testbed.report import figures, html, text
     from testbed.report.results import load_result
 
+    preload()  # once, before the work is shared
     result = load_result(result_dir)
     pictures = result.folder / "figures"
     pictures.mkdir(parents=True, exist_ok=True)

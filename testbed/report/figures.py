@@ -144,6 +144,7 @@ def rmse_bars(summary: pd.DataFrame, estimators: Sequence[str], window: str) -> 
         if np.isfinite(tops).any() and np.nanmax(tops) > 30 * np.nanmin(tops):
             ax.set_yscale("log")
             ax.yaxis.set_major_formatter(PLAIN)
+            ax.minorticks_off()
         names = [quantity_label(q).replace(" velocity", "") for q in quantities]
         ax.set_xticks(range(3), names)
         ax.set_title(f"{group} RMSE, {unit(quantities[0])}", fontsize=8, loc="left")
@@ -169,6 +170,7 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
         if len(everything) and everything.min() > 0 and everything.max() > 30 * everything.min():
             ax.set_xscale("log")
             ax.xaxis.set_major_formatter(PLAIN)
+            ax.minorticks_off()
         ax.set_xlabel(f"{quantity_label(metric.removeprefix('rmse_'))} RMSE, {unit(metric)}")
     axes[0].set_yticks(range(1, len(estimators) + 1), estimators)
     axes[0].invert_yaxis()
@@ -222,7 +224,7 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str]) -> Figure:
     ax.set_xlim(low, high)
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,)))
     ax.xaxis.set_major_formatter(PLAIN)
-    ax.xaxis.set_minor_formatter("")
+    ax.minorticks_off()
     ax.invert_yaxis()
     _legend(figure, ax)
     return figure

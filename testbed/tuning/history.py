@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,23 +17,10 @@ import numpy as np
 
 from testbed.errors import InputError
 from testbed.records import Array
-from testbed.store import writing
+from testbed.store import write_atomic
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-def write_atomic(path: Path, content: bytes) -> None:
-    """Write a whole file or none. Raises StoreError when the disk does not take it."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with writing(path.parent):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            temporary.write_bytes(content)
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
 
 
 def write_json(path: Path, data: object) -> None:

@@ -16,9 +16,9 @@ import numpy as np
 from testbed.errors import InputError
 from testbed.scenario import Scenario, load_scenario
 from testbed.schema import read_toml, validate
+from testbed.store import write_atomic
 from testbed.tuning import tables
 from testbed.tuning.config import TuneConfig, tuned_entry
-from testbed.tuning.history import write_atomic
 from testbed.tuning.objective import record, scenario_space
 from testbed.tuning.speed import TABLE_EVALUATIONS
 from testbed.tuning.tune import DATA_SHEET, INNOVATIONS, read_manifest

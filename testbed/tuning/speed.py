@@ -17,8 +17,8 @@ import numpy as np
 
 from testbed.registry import estimator_class, make_estimator
 from testbed.scenario import Scenario
+from testbed.store import write_atomic
 from testbed.tuning.config import tune_config, tuned_entry
-from testbed.tuning.history import write_atomic
 from testbed.tuning.objective import Objective, Task, record, scenario_space
 
 if TYPE_CHECKING:

@@ -16,8 +16,9 @@ from testbed import statistics
 from testbed.records import Array
 from testbed.scenario import Scenario
 from testbed.schema import read_toml
+from testbed.store import write_atomic
 from testbed.tuning.config import RMSE_METRICS, TuneConfig, tuned_entry
-from testbed.tuning.history import per_iteration, read_evaluations, write_atomic
+from testbed.tuning.history import per_iteration, read_evaluations
 from testbed.tuning.objective import DEVIANCE, Recording, full_score, record, scenario_space
 
 if TYPE_CHECKING:
