@@ -87,11 +87,11 @@ def _loader(
     return lambda further: load_scenario(scenario, profile, variant, {**overrides, **further})
 
 
-def _load_plugins(plugins: list[Path] | None) -> None:
+def _load_plugins(plugins: list[Path] | None) -> list[str]:
+    """Load them; the names of their estimators."""
     from testbed.registry import load_plugin
 
-    for path in plugins or []:
-        load_plugin(path)
+    return [name for path in plugins or [] for name in load_plugin(path)]
 
 
 @app.command("run")
@@ -111,7 +111,7 @@ def run_command(
         str | None,
         typer.Option(
             metavar="A,B",
-            help="Only these rows of the scenario (or further estimators).",
+            help="Only these rows of the scenario (or further estimators); +A: A beside all of its rows.",
             autocompletion=completion.estimators,
         ),
     ] = None,
@@ -136,7 +136,8 @@ def run_command(
         commands.show("scenarios")
         print("\nRun one with: testbed run NAME")
         return
-    _load_plugins(plugin)
+    offered = _load_plugins(plugin)
+    keys = [text.partition("=")[0].strip() for text in [*(settings or []), *(sweep or [])]]
     commands.run(
         _loader(scenario, profile, variant, settings, seed),
         out=out,
@@ -151,6 +152,8 @@ def run_command(
         cap=cap,
         report=report,
         plugins=plugin or [],
+        touched=[key.split(".")[1] for key in keys if key.startswith("estimators.")],
+        offered=offered,
     )
 
 
@@ -222,11 +225,12 @@ def report_command(
 def compare_command(
     old: Annotated[Path, typer.Argument(help="Result folder of the reference.")],
     new: Annotated[Path, typer.Argument(help="Result folder to judge.")],
+    windows: Annotated[bool, typer.Option("--windows", help="Also the changes in single windows.")] = False,
 ) -> None:
     """Say which metrics changed beyond their statistical error; exit code 1 if any got worse."""
     from testbed import commands
 
-    raise typer.Exit(commands.compare(old, new))
+    raise typer.Exit(commands.compare(old, new, windows))
 
 
 @app.command("features")
@@ -326,7 +330,10 @@ def tune_command(
 @app.command("list")
 def list_command(
     what: Annotated[
-        str, typer.Argument(help="scenarios, aircraft, sensors or estimators.", autocompletion=completion.listable)
+        str,
+        typer.Argument(
+            help="scenarios, aircraft, manoeuvres, sensors, estimators or metrics.", autocompletion=completion.listable
+        ),
     ],
     plugin: PluginOption = None,
 ) -> None:

@@ -8,12 +8,13 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from testbed.errors import InputError, TestbedError, nearest
+from testbed.completion import LISTS
+from testbed.errors import OWN, InputError, TestbedError, nearest
 from testbed.screen import print_claims, print_failures, print_summary, progress_line, tell_user
 
 if TYPE_CHECKING:
@@ -32,13 +33,21 @@ def run(
     width: float,
     cap: int,
     report: bool = True,
+    touched: Sequence[str] = (),
+    offered: Sequence[str] = (),
     **options: Any,
 ) -> None:
-    """``testbed run``: the Monte Carlo, the table on screen, the report. ``load`` makes the scenario from overrides."""
+    """``testbed run``: the Monte Carlo, the table on screen, the report. ``load`` makes the scenario from overrides.
+
+    ``touched`` are the estimators that a setting changed, ``offered`` those that plug-ins brought.
+    """
     import testbed.runner
     from testbed.report import preload, render
 
-    scenario = _choose_estimators(load({}), estimators)
+    scenario = _choose_estimators(load({}), estimators, touched)
+    unused = [name for name in offered if name not in {entry.name for entry in scenario.estimators}]
+    if unused and estimators is None:
+        tell_user(f"no row of {scenario.name} uses {', '.join(unused)}: add --estimators +{',+'.join(unused)}")
     folder = out or Path("results") / scenario.name
     check_place(folder)
     count = testbed.runner.Auto(width, cap) if runs == "auto" else _run_count(runs)
@@ -54,6 +63,9 @@ def run(
                 preload()  # while the workers are at it
 
         result = testbed.runner.run(scenario, folder, runs=count, progress=tell, **options)
+    used, stored = result.runs["run"].nunique(), len(list((folder / "runs").glob("*.parquet")))
+    if stored > used:
+        tell_user(f"{stored} runs are stored in {folder}; tables and report are of the first {used}")
     print_summary(scenario, result.summary, result.runs)
     sys.stdout.flush()
     print_failures(result.runs)
@@ -62,7 +74,12 @@ def run(
     if not (result.runs["status"] == "ok").any():
         raise TestbedError(f"{folder}: no estimator came to the end of a run")
     if report:
-        render(folder, svg=False)
+        try:
+            render(folder, svg=False)
+        except KeyboardInterrupt:
+            raise TestbedError(
+                f"{folder}: stopped before the report was made; testbed report {folder} makes it"
+            ) from None
     print(f"report: {folder / 'report.html'}" if report else f"tables: {folder}; the report: testbed report {folder}")
 
 
@@ -96,23 +113,35 @@ def _run_count(runs: str | None) -> int | None:
     return int(runs)
 
 
-def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
-    """Keep the named rows; a name that is no row of the scenario but an estimator becomes a row with defaults."""
+def _choose_estimators(scenario: Scenario, names: str | None, touched: Sequence[str] = ()) -> Scenario:
+    """Keep the named rows; a name that is no row of the scenario but an estimator becomes a row with defaults.
+
+    Names that begin with ``+`` come beside all rows of the scenario. ``touched`` are rows (positions or names) that a setting changed.
+    """
     if names is None:
         return scenario
     from testbed.registry import list_estimators
     from testbed.scenario import EstimatorConfig
 
     rows = {entry.row: entry for entry in scenario.estimators}
+    wanted = list(dict.fromkeys(part.strip() for part in names.split(",") if part.strip()))
+    if added := [name for name in wanted if name.startswith("+")]:
+        if len(added) < len(wanted):
+            raise InputError(f"--estimators {names}: '+' before all names (beside the scenario's rows) or before none")
+        wanted = [*rows, *(name.lstrip("+") for name in added)]
     chosen = []
     known = {*rows, *list_estimators()}
-    for name in dict.fromkeys(part.strip() for part in names.split(",") if part.strip()):
+    for name in dict.fromkeys(wanted):
         if name not in known:
-            raise InputError(f"--estimators: unknown estimator '{name}'; {nearest(name, known)}")
+            raise InputError(f"--estimators: unknown estimator '{name}'; {nearest(name, known)}; {OWN}")
         chosen.append(rows.get(name) or EstimatorConfig(name=name))
     if not chosen:
         raise InputError("--estimators: name at least one")
     kept = {entry.row for entry in chosen}
+    for place in touched:
+        row = scenario.estimators[int(place)].row if place.isdigit() else place
+        if row not in kept and row not in {entry.name for entry in chosen}:
+            raise InputError(f"'estimators.{place}' is set, but --estimators leaves '{row}' out")
     claims = [claim for claim in scenario.claims if {claim.better, claim.than} <= kept]
     return scenario.model_copy(update={"estimators": chosen, "claims": claims})
 
@@ -270,16 +299,26 @@ def _report_study(folder: Path) -> None:
     write_report(folder)
 
 
-def compare(old: Path, new: Path) -> int:
-    """``testbed compare``: 1 when a metric got worse, else 0."""
-    from testbed.compare import compare_results
+def compare(old: Path, new: Path, windows: bool = False) -> int:
+    """``testbed compare``: 1 when a metric got worse or is missing, else 0."""
+    from testbed.compare import MISSING, compare_results
 
     changes = compare_results(old, new)
+    gone = changes[changes["verdict"] == MISSING]
+    changes = changes[changes["verdict"] != MISSING]
+    for estimator, rows in gone.groupby("estimator", sort=False):
+        print(f"missing in {new}: {len(rows)} metrics of {estimator} ({', '.join(rows['window'].unique())})")
     if changes.empty:
         print("no metric changed beyond its statistical error")
-        return 0
-    print(changes.to_string(index=False))
-    return int((changes["verdict"] == "worse").any())
+        return int(len(gone) > 0)
+    counts = changes["verdict"].value_counts()
+    whole = changes["window"] == "all"
+    shown = changes if windows or not whole.any() else changes[whole]
+    print(shown.to_string(index=False, float_format=lambda v: f"{v:.4g}"))
+    told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    left = len(changes) - len(shown)
+    print(f"{told}" + (f"; {left} of them in single windows, shown with --windows" if left else ""))
+    return int(len(gone) > 0 or (changes["verdict"] == "worse").any())
 
 
 def show(what: str) -> None:
@@ -308,5 +347,16 @@ def show(what: str) -> None:
         for kind, entries in list_sensors().items():
             for name, source in entries.items():
                 print(f"{kind:5s} {name:14s} {source}")
+    elif what == "manoeuvres":
+        from testbed.flight.config import manoeuvre_keys
+
+        for name, (about, keys) in manoeuvre_keys().items():
+            print(f"{name:13s} {about}\n{'':13s} {keys}")
+    elif what == "metrics":
+        from testbed.metrics import NEES_GROUPS, QUANTITIES, STATISTICS, TIME_METRIC
+
+        print(f"STATISTIC_QUANTITY, for example rmse_north_m\nstatistics: {', '.join(STATISTICS)}")
+        print(f"quantities: {', '.join(QUANTITIES)}\nagainst the fixes: rmse_gnss_north_m, mean_gnss_north_m, ...")
+        print(f"consistency: {', '.join(NEES_GROUPS)}, nis\ntime: {TIME_METRIC}")
     else:
-        raise InputError(f"cannot list '{what}'; {nearest(what, ['scenarios', 'aircraft', 'sensors', 'estimators'])}")
+        raise InputError(f"cannot list '{what}'; {nearest(what, LISTS)}")

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from testbed.errors import InputError
 from testbed.records import Array
 from testbed.statistics import difference_interval, signed_rank
 from testbed.store import Store, open_result
@@ -26,6 +27,7 @@ SMALLEST_PCT = 0.1
 """A change below this is the same, however certain: rounding of another order of operations is no regression."""
 LOST = "lost_runs"
 """The compared share of runs that did not end ``ok``."""
+MISSING = "missing"
 COLUMNS = "estimator window metric old new change_pct ci_low ci_high p_value verdict".split()
 
 
@@ -39,19 +41,24 @@ def compare_results(old: str | Path, new: str | Path, smallest_pct: float = SMAL
 def compare_all(old: str | Path, new: str | Path, smallest_pct: float = SMALLEST_PCT) -> pd.DataFrame:
     """Every compared metric with `COLUMNS`; ``ci_low`` and ``ci_high`` bound ``new - old``.
 
-    ``verdict`` is same, better or worse; a row that the new result lacks is worse. Raises InputError when a folder is no
-    result.
+    ``verdict`` is same, better or worse, or missing for a row that the new result lacks. Raises InputError when a folder is no
+    result, or the two are of different scenarios.
     """
     import pandas as pd
 
     stores = open_result(old), open_result(new)
+    names = [store.manifest.get("scenario") for store in stores]
+    if names[0] != names[1]:
+        raise InputError(
+            f"{old} is of the scenario '{names[0]}', {new} of '{names[1]}': only results of one scenario compare"
+        )
     paired = _same_data(*stores)
     before, after = (_values(store) for store in stores)
     rows: list[dict[str, Any]] = []
     for cell, a in before.items():
         row: dict[str, Any] = dict(zip(("estimator", "window", "metric"), cell, strict=True))
         b = after.get(cell)
-        rows.append(row | ({"old": float(a.mean()), "verdict": "worse"} if b is None else _change(a, b, paired)))
+        rows.append(row | ({"old": float(a.mean()), "verdict": MISSING} if b is None else _change(a, b, paired)))
     table = pd.DataFrame(rows, columns=COLUMNS)
     p_values, change = table["p_value"].to_numpy(dtype=float), table["change_pct"].to_numpy(dtype=float)
     certain = holm(p_values) < ALPHA

@@ -13,6 +13,9 @@ import typer
 
 from testbed import resources
 
+LISTS = ("scenarios", "aircraft", "manoeuvres", "sensors", "estimators", "metrics")
+"""What ``testbed list`` lists."""
+
 
 def scenarios(incomplete: str) -> list[str]:
     """Shipped scenarios; where none begins like this, the shell falls back to file names."""
@@ -42,7 +45,7 @@ def estimators(ctx: typer.Context, incomplete: str) -> list[str]:
 
 def listable(incomplete: str) -> list[str]:
     """What ``testbed list`` lists."""
-    return [name for name in ("scenarios", "aircraft", "sensors", "estimators") if name.startswith(incomplete)]
+    return [name for name in LISTS if name.startswith(incomplete)]
 
 
 def formats(incomplete: str) -> list[str]:

@@ -22,8 +22,12 @@ class InputError(TestbedError):
     exit_code = 2
 
 
-class FlightError(TestbedError):
-    """The aircraft could not fly the script (stall, ground, divergence). Exit code 1."""
+class FlightError(InputError):
+    """The aircraft cannot fly the script (stall, ground, divergence, out of its envelope)."""
+
+
+OWN = "one of your own comes with --plugin FILE.py"
+"""Ends a message on an estimator that nobody knows."""
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

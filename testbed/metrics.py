@@ -54,6 +54,8 @@ NEES_GROUPS = {
 TIME_METRIC = "us_per_sample"
 """Computation time of an estimator per IMU sample."""
 
+UNCOVERED = 0.01
+"""Share of a flight that a solution may leave out at either end, or between two samples."""
 _TIME_TOLERANCE = 1e-9
 _GNSS_QUANTITIES = QUANTITIES[:9]
 
@@ -247,6 +249,23 @@ def divergence(series: ErrorSeries, limit_m: float) -> str:
     far = _norm(series.values[:, :3]) > limit_m
     if far.any():
         return f"position off by more than {limit_m:g} m from {series.t[np.argmax(far)]:.6g} s"
+    return ""
+
+
+def coverage(solution: NavSolution, start: float, end: float) -> str:
+    """What of the flight from ``start`` to ``end`` (s) a solution leaves out, or an empty string.
+
+    Up to `UNCOVERED` of it, and a second more, may lack at either end or between two samples: an estimator may align first, or
+    answer once a second, but not pick the part of the flight that it is scored on.
+    """
+    allowed = UNCOVERED * (end - start) + 1.0
+    t = solution.t[(solution.t >= start - allowed) & (solution.t <= end + allowed)]
+    told = f"covers {solution.t[0]:.6g} to {solution.t[-1]:.6g} s of a flight from {start:.6g} to {end:.6g} s"
+    if len(t) == 0 or t[0] - start > allowed or end - t[-1] > allowed:
+        return told
+    gap = int(np.argmax(np.diff(t))) if len(t) > 1 else 0
+    if len(t) > 1 and t[gap + 1] - t[gap] > allowed:
+        return f"says nothing between {t[gap]:.6g} and {t[gap + 1]:.6g} s"
     return ""
 
 

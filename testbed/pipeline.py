@@ -33,7 +33,8 @@ def _named(scenario: Scenario, section: str) -> Iterator[None]:
     except InputError as error:
         if scenario.source_path in str(error):
             raise
-        raise InputError(f"{scenario.source_path}: [{section}] {error}") from None
+        place = "" if str(error).startswith("[") else f"[{section}] "
+        raise type(error)(f"{scenario.source_path}: {place}{error}") from None
 
 
 def flight_varies(scenario: Scenario) -> bool:

@@ -281,6 +281,8 @@ class SensorErrors:
     constants: Mapping[str, Any] = field(default_factory=dict)
 
 
+UNIT_TOLERANCE = 1e-3
+"""Of a quaternion's norm: far above rounding, also that of single precision, and far below what an angle would notice."""
 GNSS_CHANNELS = ("north, m", "east, m", "down, m", "north, m/s", "east, m/s", "down, m/s")
 """Names of the six channels of a loosely coupled filter's innovation."""
 
@@ -309,7 +311,7 @@ class NavSolution:
     ``std`` (N,15), 1 sigma in the order of `STATE_NAMES`. ``covariance_t`` (K,) and ``covariance`` (K,15,15) are
     snapshots for consistency tests (about 1 Hz). ``extras`` maps names to (time (J,), values (J,) or (J,c)) pairs:
     mode probabilities, fading factors, network outputs. Non-finite values are allowed: the scorer counts them as
-    divergence.
+    divergence. Raises InputError for a wrong shape, times that do not increase, or a quaternion that is not of unit length.
     """
 
     t: Array
@@ -333,6 +335,12 @@ class NavSolution:
         optional: dict[str, tuple[int | None, ...]] = {"accel_bias": (3,), "gyro_bias": (3,), "std": (15,)}
         shapes |= {key: shape for key, shape in optional.items() if getattr(self, key) is not None}
         _check(self, "NavSolution", shapes, finite=False)
+        norm = np.sqrt(np.einsum("ij,ij->i", self.q_nb, self.q_nb))
+        if (off := np.abs(norm - 1.0) > UNIT_TOLERANCE).any():  # False where the norm is not finite: divergence
+            k = int(np.argmax(off))
+            raise InputError(
+                f"NavSolution: 'q_nb' must be unit quaternions, but has norm {norm[k]:.6g} at sample {k} (t = {self.t[k]:.6g} s)"
+            )
 
     def to_frame(self) -> pd.DataFrame:
         """Columns as in `Trajectory`, then biases and ``std_`` + state name where the estimator gives them."""
@@ -382,7 +390,8 @@ def _check(
         wanted = (len(t), *shape)
         fits = values.ndim == len(wanted) and all(w in (None, v) for w, v in zip(wanted, values.shape, strict=True))
         if not fits:
-            raise InputError(f"{what}: '{name}' has shape {values.shape}, expected {wanted}")
+            length = " as 't' has it" if values.shape[1:] == wanted[1:] else ""
+            raise InputError(f"{what}: '{name}' has shape {values.shape}, expected {wanted}{length}")
         if finite and not np.isfinite(values).all():
             k = int(np.argmin(np.isfinite(values).reshape(len(t), -1).all(axis=1)))
             raise InputError(f"{what}: '{name}' is not finite at sample {k} (t = {t[k]:.6g} s)")

@@ -9,13 +9,13 @@ import dataclasses
 import importlib.util
 import inspect
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
-from testbed.errors import InputError, nearest
+from testbed.errors import OWN, InputError, nearest
 from testbed.records import NavSolution, SensorLog, Trajectory
 
 GROUP = "testbed.estimators"
@@ -57,7 +57,7 @@ def estimator_class(name: str) -> type:
     if name in _plugins:
         return _plugins[name]
     if name not in _entries():
-        raise InputError(f"unknown estimator '{name}'; {nearest(name, list_estimators())}")
+        raise InputError(f"unknown estimator '{name}'; {nearest(name, list_estimators())}; {OWN}")
     loaded: type = _entries()[name].load()
     return loaded
 
@@ -69,11 +69,29 @@ def make_estimator(name: str, **params: Any) -> Estimator:
     for key in params:
         if known is not None and key not in known:
             raise InputError(f"estimator '{name}' has no parameter '{key}'; {nearest(key, known)}")
+    _check_kinds(name, kind, params)
     try:
         made: Estimator = kind(**params)
     except (TypeError, ValueError) as error:
         raise InputError(f"estimator '{name}': {error}") from None
     return made
+
+
+def _check_kinds(name: str, kind: type, params: Mapping[str, Any]) -> None:
+    """Refuse text for a number and the like, where the default of a parameter tells what it is."""
+    for key, parameter in inspect.signature(kind).parameters.items():
+        usual, given = parameter.default, params.get(key)
+        if given is None or usual is None or usual is parameter.empty:
+            continue
+        numbers = isinstance(usual, int | float) and not isinstance(usual, bool)
+        fits = (
+            isinstance(given, int | float) and not isinstance(given, bool)
+            if numbers
+            else isinstance(given, type(usual))
+        )
+        if not fits and isinstance(usual, bool | int | float | str):
+            what = "true or false" if isinstance(usual, bool) else "a number" if numbers else "a text"
+            raise InputError(f"estimator '{name}': '{key}' should be {what} like {usual!r}, got {given!r}")
 
 
 def parameter_names(kind: type) -> list[str] | None:

@@ -114,7 +114,11 @@ def run(
             done.update(missing)
             if isinstance(runs, Auto) and _narrow(store, scenario, wanted, runs.width_pct):
                 break
-    tables = aggregate(store, scenario, range(wanted), envelope_times(trajectory))
+    try:
+        tables = aggregate(store, scenario, range(wanted), envelope_times(trajectory))
+    except KeyboardInterrupt:
+        told = f"{store.out}: stopped before the tables were made; all {wanted} runs are stored"
+        raise Interrupted(f"{told}, and the same command with --resume makes them") from None
     seconds = round(time.time() - started, 3)
     store.update_manifest(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
     return Result(store.out, **vars(tables))
@@ -171,8 +175,11 @@ def prepare(setup: Setup) -> Trajectory:
     scenario = setup.scenario
     for plugin in setup.plugins:
         load_plugin(plugin)
-    for entry in scenario.estimators:
-        estimator = make_estimator(entry.name, **entry.params)
+    for k, entry in enumerate(scenario.estimators):
+        try:
+            estimator = make_estimator(entry.name, **entry.params)
+        except InputError as error:
+            raise InputError(f"{scenario.source_path}: 'estimators.{k}': {error}") from None
         if (ready := getattr(estimator, "prepare", None)) is not None:
             ready(scenario)
     trajectory = pipeline.fly(scenario, 0)
@@ -189,7 +196,9 @@ def check_claims(scenario: Scenario, windows: Sequence[str]) -> None:
     for claim in scenario.active_claims():
         where = f"{scenario.source_path or scenario.name}: claim '{claim.id or claim.text}'"
         if claim.metric not in metrics:
-            raise InputError(f"{where}: unknown metric '{claim.metric}'; {nearest(claim.metric, metrics)}")
+            raise InputError(
+                f"{where}: unknown metric '{claim.metric}'; {nearest(claim.metric, metrics)} (testbed list metrics shows all)"
+            )
         if claim.window not in windows:
             raise InputError(f"{where}: unknown window '{claim.window}'; {nearest(claim.window, windows)}")
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, model_validator
 
 from testbed import resources
-from testbed.errors import InputError, nearest
+from testbed.errors import OWN, InputError, nearest
 from testbed.flight.config import FlightConfig
 from testbed.formats.config import RecordingConfig
 from testbed.schema import Table, read_toml, validate
@@ -253,6 +253,8 @@ def find_scenario(name_or_path: str | Path) -> Path:
         return path
     shipped = list_scenarios()
     if str(name_or_path) not in shipped:
+        if (own := Path(f"{name_or_path}.toml")).is_file():
+            raise InputError(f"no shipped scenario is called '{name_or_path}'; did you mean the file {own}?")
         raise InputError(f"unknown scenario '{name_or_path}'; {nearest(str(name_or_path), shipped)}")
     return shipped[str(name_or_path)]
 
@@ -314,7 +316,9 @@ def _check_estimators(scenario: Scenario) -> None:
     for k, entry in enumerate(scenario.estimators):
         if entry.name not in known:
             hint = nearest(entry.name, known)
-            raise InputError(f"{scenario.source_path}: 'estimators.{k}.name': unknown estimator '{entry.name}'; {hint}")
+            raise InputError(
+                f"{scenario.source_path}: 'estimators.{k}.name': unknown estimator '{entry.name}'; {hint}; {OWN}"
+            )
 
 
 def merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
@@ -327,7 +331,11 @@ def merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]
 
 
 def set_key(data: dict[str, Any], key: str, value: Any, source: str) -> None:
-    """Set a dotted key in place, for example ``sensors.gnss.outages`` or ``flight.manoeuvres.0.bank_deg``."""
+    """Set a dotted key in place, for example ``sensors.gnss.outages`` or ``flight.manoeuvres.0.bank_deg``.
+
+    A row of a list is meant by its position from 0, an estimator also by its label or name (``estimators.imm.params.beta``); an
+    estimator that has no row yet gets one.
+    """
     *parents, last = key.split(".")
     node: Any = data
     for part in parents:
@@ -338,6 +346,12 @@ def set_key(data: dict[str, Any], key: str, value: Any, source: str) -> None:
 
 
 def _position(node: list[Any], part: str, key: str, source: str) -> int:
+    if key.startswith("estimators.") and key.split(".")[1] == part and not part.isdigit():
+        rows = [str(row.get("label") or row.get("name")) for row in node if isinstance(row, dict)]
+        if part not in rows:
+            node.append({"name": part})
+            return len(node) - 1
+        return rows.index(part)
     if not part.isdigit() or int(part) >= len(node):
         raise InputError(f"{source}: cannot set '{key}': '{part}' is not a position from 0 to {len(node) - 1}")
     return int(part)

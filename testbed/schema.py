@@ -9,6 +9,7 @@ import tomllib
 import types
 import typing
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -46,8 +47,20 @@ def validate(model: type[Model], data: Mapping[str, Any], source: str, folder: P
     try:
         return model.model_validate(data, context={} if folder is None else {"folder": folder})
     except ValidationError as error:
-        problems = [_explain(model, dict(problem)) for problem in error.errors()]
-        raise InputError("\n".join(f"{source}: {problem}" for problem in problems)) from None
+        problems = [dict(problem) for problem in error.errors()]
+        told = [_explain(model, problem) for problem in _without_consequences(model, problems)]
+        raise InputError("\n".join(f"{source}: {problem}" for problem in told)) from None
+
+
+def _without_consequences(model: type[BaseModel], problems: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Without the keys that are missing only because they were misspelt, as another problem says."""
+    meant = {
+        (*problem["loc"][:-1], close[0])
+        for problem in problems
+        if problem["type"] == "extra_forbidden"
+        and (close := get_close_matches(str(problem["loc"][-1]), _fields_at(model, problem["loc"][:-1]), 1, 0.5))
+    }
+    return [p for p in problems if not (p["type"] == "missing" and p["loc"] in meant)]
 
 
 def _explain(model: type[BaseModel], problem: dict[str, Any]) -> str:
@@ -67,6 +80,8 @@ def _explain(model: type[BaseModel], problem: dict[str, Any]) -> str:
         return f"'{shown}': unknown {context['discriminator'].strip(chr(39))} '{context['tag']}'; {nearest(context['tag'], valid)}"
     got = problem.get("input")
     value = f", got {got!r}" if isinstance(got, str | int | float | bool) else ""
+    if kind in ("float_type", "int_type") and isinstance(got, str):
+        value += "; numbers stand without quotes"
     return f"'{shown}': {message[0].lower()}{message[1:]}{value}"
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from testbed import details, metrics, pipeline
-from testbed.errors import TestbedError
+from testbed.errors import InputError, TestbedError
 from testbed.limits import TimeLimitError, time_limit
 from testbed.records import Array, NavSolution, SensorErrors, SensorLog, Trajectory
 from testbed.registry import load_plugin, make_estimator
@@ -137,7 +137,7 @@ class Bench:
                     solution = estimator.run(log)
                 seconds = time.perf_counter() - start
             if not isinstance(solution, NavSolution):
-                raise TypeError(f"run(log) returned {type(solution).__name__}, not a NavSolution")
+                raise InputError(f"run(log) returned {type(solution).__name__}, not a NavSolution")
         except TimeLimitError:
             return Outcome(entry.row, "timeout", f"no answer within {limit:g} s", float(limit or 0), samples), None
         except (KeyboardInterrupt, MemoryError):
@@ -163,9 +163,13 @@ class Bench:
         row = outcome.estimator
         with np.errstate(all="ignore"):
             try:
+                span = max(trajectory.t[0], log.imu.t[0]), min(trajectory.t[-1], log.imu.t[-1])
+                if gap := metrics.coverage(solution, *span):
+                    raise InputError(gap)
                 series = metrics.error_series(trajectory, solution)
                 reason = metrics.divergence(series, self.setup.scenario.monte_carlo.divergence_position_m)
                 if reason:
+                    reason += _degrees_hint(solution)
                     return Outcome(row, "diverged", reason, outcome.seconds, outcome.samples), series if len(
                         series.t
                     ) else None
@@ -203,6 +207,11 @@ def _reason(error: BaseException) -> str:
     if not frames or isinstance(error, TestbedError):
         return text
     return f"{text} ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
+
+
+def _degrees_hint(solution: NavSolution) -> str:
+    place = np.abs([solution.lat[0], solution.lon[0]])
+    return "; are lat and lon in radians?" if place[0] > 0.5 * np.pi or place[1] > 2.0 * np.pi else ""
 
 
 def _short(status: str) -> str:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 
 import monte_carlo as mc
 import numpy as np
 import pandas as pd
 import pytest
 
-from testbed import pipeline, runner
+from testbed import commands, pipeline, runner
 from testbed.claims import verdict
 from testbed.compare import compare_all, compare_results, holm
 from testbed.errors import InputError
@@ -128,8 +130,22 @@ def test_comparison_counts_lost_runs_and_missing_estimators(tmp_path):
     fine = run(mc.scenario([{"name": "noisy", "label": "x"}, mc.GOOD], runs=60), tmp_path / "fine").out
     lossy = run(mc.scenario([{"name": "nan", "label": "x"}], runs=60), tmp_path / "lossy").out
     changes = compare_results(fine, lossy)
-    assert ((changes["estimator"] == "good") & (changes["verdict"] == "worse")).any()
+    assert set(changes["verdict"][changes["estimator"] == "good"]) == {"missing"}
     lost = changes[(changes["estimator"] == "x") & (changes["metric"] == "lost_runs")]
     assert lost["verdict"].tolist() == ["worse"] and lost["new"].iloc[0] == pytest.approx(0.2)
     with pytest.raises(InputError, match="no result"):
         compare_results(tmp_path / "nowhere", lossy)
+
+
+def test_comparison_tells_what_is_missing_and_refuses_another_scenario(tmp_path, capsys):
+    rows = [{"name": "noisy", "label": label, "params": {"sigma_m": 1.0}} for label in ("a", "b")]
+    both = run(mc.scenario(rows, runs=3), tmp_path / "both").out
+    one = run(mc.scenario(rows[:1], runs=3), tmp_path / "one").out
+    assert commands.compare(both, one) == 1
+    told = capsys.readouterr().out
+    assert re.search(r"missing in .*one: \d+ metrics of b \(all\)", told) and "nan" not in told.lower()
+    assert commands.compare(one, both) == 0
+    manifest = json.loads((one / "manifest.json").read_text())
+    (one / "manifest.json").write_text(json.dumps(manifest | {"scenario": "another"}))
+    with pytest.raises(InputError, match="only results of one scenario compare"):
+        commands.compare(both, one)

@@ -101,13 +101,13 @@ def test_recording_with_decreasing_time_is_refused(tmp_path):
 
 
 def test_a_flight_that_fails_in_the_air_names_manoeuvre_and_time(tmp_path):
-    """A small UAV told to descend into the ground: exit code 1, since the input was well-formed."""
+    """A small UAV told to descend into the ground: an impossible manoeuvre is bad input, found out in the air or before."""
     script = '[{ type = "descent", climb_rate_mps = 5.0, duration_s = 100.0 }]'
     text = FLIGHT.replace('[{ type = "straight", duration_s = 5.0 }]', script)
     text = text.replace("speed_mps = 30.0", "speed_mps = 30.0, alt_m = 50.0")
     (tmp_path / "broken.toml").write_text(text)
     done = command_line("run", "broken.toml", "--out", "out", cwd=tmp_path)
-    check_refused(done, tmp_path, 1, "descent", " s")
+    check_refused(done, tmp_path, 2, "broken.toml", "descent", " s")
 
 
 def test_help_and_lists_need_no_heavy_import(tmp_path):

@@ -2,12 +2,15 @@
 
 import contextlib
 import io
+import re
+import shlex
 import sys
 from pathlib import Path
 
 import pytest
 
 from testbed import cli
+from testbed.resources import scenario_root
 
 
 def call(*arguments: str) -> tuple[int, str]:
@@ -36,6 +39,10 @@ def workplace(tmp_path, monkeypatch):
     Path("syntax.py").write_text("def run(:\n")
     Path("nothing.py").write_text("x = 1\n")
     Path("broken.toml").write_text("[flight\n")
+    text = (scenario_root() / "quickstart.toml").read_text()
+    Path("own.toml").write_text(text)
+    Path("misspelt.toml").write_text(text.replace("bank_deg = 35.0", "bnak_deg = 35.0"))
+    Path("quoted.toml").write_text(text.replace("duration_s = 10.0", 'duration_s = "10.0"'))
     return tmp_path
 
 
@@ -73,7 +80,17 @@ MISTAKES = {
     "run quickstart --estimators inns": ["'ins'"],
     "run quickstart --estimators ,": ["at least one"],
     "run quickstart --set monte_carlo.rns=3": ["'runs'"],
-    "run quickstart --set estimators.0.params.gain=3 --out out": ["'ins'", "gain"],
+    "run quickstart --set estimators.0.params.gain=3 --out out": ["'estimators.0'", "'ins'", "gain"],
+    "run quickstart --set estimators.indirect-kf.params.gyro_bias_scale=much --out out": ["a number", "'much'"],
+    "run quickstart --set estimators.indirect-kff.params.x=1 --out out": ["'indirect-kf'", "--plugin"],
+    "run quickstart --set estimators.ins.params.x=1 --estimators indirect-kf": ["--estimators leaves 'ins' out"],
+    "run quickstart --set estimators.0.params.x=1 --estimators indirect-kf": ["--estimators leaves 'ins' out"],
+    "run quickstart --estimators +pyins,ins": ["'+'"],
+    "run quickstart --estimators mine": ["--plugin FILE.py"],
+    "run own": ["own.toml"],
+    "run misspelt.toml": ["bnak_deg'", "'bank_deg'"],
+    "run quoted.toml": ["'10.0'", "without quotes"],
+    "run quickstart --set claims.0.metric=rmse_pos_m --out out": ["testbed list metrics"],
     "run quickstart --sweep sensors.imu.rate_hz": ["KEY=V1,V2"],
     "run quickstart --sweep sensors.imu.rate=50,100": ["'rate_hz'"],
     "run quickstart --plugin syntax.py": ["syntax.py", "line 1"],
@@ -90,7 +107,7 @@ def test_a_mistake_is_told_in_one_message(line, workplace):
     before = sorted(path for path in workplace.rglob("*") if ".cache" not in path.parts)
     code, said = call(*line.split())
     assert code == 2, said
-    assert "Traceback" not in said
+    assert "Traceback" not in said and "is missing" not in said
     assert len(said.strip().splitlines()) <= 6  # a usage error of the option parser comes in a frame
     for word in MISTAKES[line]:
         assert word in said
@@ -155,3 +172,98 @@ def test_run_without_a_scenario_shows_what_can_be_run(capsys, monkeypatch):
     with pytest.raises(SystemExit):
         cli.main()
     assert "quickstart" in capsys.readouterr().out
+
+
+HALF = """
+import numpy as np
+from testbed import NavSolution
+
+class Part:
+    name = "part"
+    def __init__(self, part="first"):
+        self.part = part
+    def run(self, log):
+        t, s = log.imu.t, log.initial
+        n = len(t)
+        lat, lon, h, v, q = np.full(n, s.lat), np.full(n, s.lon), np.full(n, s.h), np.tile(s.v_n, (n, 1)), np.tile(s.q_nb, (n, 1))
+        rows = {"first": slice(0, 100), "hole": np.r_[0:200, n - 200:n], "sparse": slice(None, None, 50)}.get(self.part, slice(None))
+        if self.part == "degrees":
+            lat, lon = np.degrees(lat), np.degrees(lon)
+        if self.part == "zero":
+            q = 0.0 * q
+        if self.part == "array":
+            return q
+        return NavSolution(t[rows], lat[rows], lon[rows], h[rows], v[rows], q[rows])
+"""
+ANSWERS = {
+    "first": "covers 0.01 to 1 s of a flight from 0",
+    "hole": "says nothing between 2 and ",
+    "zero": "unit quaternions, but has norm 0 at sample 0",
+    "degrees": "are lat and lon in radians?",
+    "array": "returned ndarray, not a NavSolution",
+    "sparse": "",
+}
+
+
+@pytest.mark.parametrize("part", ANSWERS)
+def test_an_answer_that_cannot_be_compared_is_no_row_of_the_table(part, workplace):
+    """A solution of the first second, or with an attitude of length zero, would win what it is not measured on."""
+    Path("part.py").write_text(HALF)
+    options = [
+        "--set",
+        "flight.duration_s=10",
+        "--set",
+        "sensors.gnss.outages=[]",
+        "--set",
+        "windows=[]",
+        "--no-report",
+    ]
+    options += [
+        "--runs",
+        "1",
+        "--jobs",
+        "1",
+        "--estimators",
+        "part,update-ins",
+        "--set",
+        f"estimators.part.params.part={part}",
+    ]
+    code, said = call("run", "quickstart", "--plugin", "part.py", *options, "--out", "out")
+    assert code == 0
+    if ANSWERS[part]:
+        assert "part: not ok in 1 of 1 runs" in said and ANSWERS[part] in said
+    else:
+        assert "not ok" not in said
+
+
+def test_an_estimator_of_ones_own_beside_the_rows_of_a_scenario(workplace):
+    """Without ``--estimators`` a plug-in is in no row, which is told; ``+`` adds it; its parameter is set by name."""
+    Path("part.py").write_text(HALF)
+    quick = ["--set", "flight.duration_s=10", "--set", "sensors.gnss.outages=[]", "--set", "windows=[]", "--no-report"]
+    quick += [
+        "--runs",
+        "1",
+        "--jobs",
+        "1",
+        "--set",
+        "estimators=[{name = 'ins'}]",
+        "--set",
+        "claims=[]",
+        "--plugin",
+        "part.py",
+    ]
+    code, said = call("run", "quickstart", *quick, "--out", "without")
+    assert code == 0 and "add --estimators +part" in said
+    code, said = call("run", "quickstart", *quick, "--estimators", "+part", "--out", "with")
+    assert code == 0 and "add" not in said
+    assert re.findall(r'name = "(ins|part)"', Path("with/scenario.toml").read_text()) == ["ins", "part"]
+
+
+def test_the_command_in_a_report_makes_the_result_again(workplace):
+    """Also where ``--set`` changed the scenario: then from the file that the folder keeps."""
+    quick = ["--runs", "1", "--jobs", "1", "--estimators", "ins,update-ins", "--set", "flight.duration_s=10"]
+    quick += ["--set", "sensors.gnss.outages=[]", "--set", "windows=[]", "--seed", "7"]
+    assert call("run", "quickstart", *quick, "--out", "first")[0] == 0
+    line = next(line for line in Path("first/report.md").read_text().splitlines() if line.startswith("testbed run"))
+    assert call(*shlex.split(line)[1:-1], "again")[0] == 0
+    assert Path("first/summary.csv").read_bytes() == Path("again/summary.csv").read_bytes()

@@ -6,6 +6,7 @@ WGS-84 ellipsoid in metres; positive bank and `right` turn to the right, positiv
 
 from __future__ import annotations
 
+import typing
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -107,13 +108,13 @@ class _Vertical(Manoeuvre):
 
 
 class Climb(_Vertical):
-    """Climb to a height or for a time."""
+    """Climb, at a rate or a path angle (one of them), to a height or for a time."""
 
     type: Literal["climb"]
 
 
 class Descent(_Vertical):
-    """Descend to a height or for a time; rate and angle are given as positive numbers."""
+    """Descend, at a rate or a path angle (one of them, positive), to a height or for a time."""
 
     type: Literal["descent"]
 
@@ -232,6 +233,21 @@ AnyManoeuvre = Annotated[
     Straight | Turn | Climb | Descent | Loiter | STurn | FigureEight | Accelerate | Decelerate | Doublet | Waypoints,
     Field(discriminator="type"),
 ]
+
+
+def manoeuvre_keys() -> dict[str, tuple[str, str]]:
+    """Of each type of manoeuvre what it does, and its keys in words."""
+    found = {}
+    for kind in typing.get_args(typing.get_args(AnyManoeuvre)[0]):
+        fields = {key: field for key, field in kind.model_fields.items() if key != "type"}
+        needed = [key for key, field in fields.items() if field.is_required()]
+        free = [key for key in fields if key not in needed and key not in kind.ends]
+        parts = [", ".join(needed)] if needed else []
+        parts += [f"exactly one of {', '.join(kind.ends)}"] if len(kind.ends) > 1 else []
+        parts += [f"and if wanted {', '.join(free)}"] if free else []
+        name = typing.get_args(kind.model_fields["type"].annotation)[0]
+        found[name] = (kind.__doc__ or "").split("\n")[0], "; ".join(parts)
+    return found
 
 
 class FlightConfig(Table):
