@@ -16,6 +16,7 @@ from estimators.ins import Ins
 from testbed import earth
 from testbed.errors import InputError
 from testbed.records import GnssFixes, Innovations, NavSolution, SensorLog
+from testbed.rotations import quats_to_matrices
 
 Array = NDArray[np.float64]
 
@@ -33,6 +34,12 @@ class FreeIns:
         """Position (M,3) and velocity (M,3) at times ``t``, linear between samples."""
         lla = np.column_stack([np.interp(t, self.t, column) for column in self.lla.T])
         return lla, np.column_stack([np.interp(t, self.t, column) for column in self.velocity.T])
+
+    def lever_arm(self, t: Array, lever: Array) -> tuple[Array, Array]:
+        """The arm ``lever`` (3,) of the body in n at times ``t`` (M,3), m, and how fast its end moves (M,3), m/s."""
+        arm = quats_to_matrices(self.q_nb) @ lever
+        sweep = np.gradient(arm, self.t, axis=0)
+        return tuple(np.column_stack([np.interp(t, self.t, c) for c in x.T]) for x in (arm, sweep))  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
@@ -109,7 +116,10 @@ def free_ins(log: SensorLog) -> FreeIns:
 
 
 def gnss_measurements(ins: FreeIns, gnss: GnssFixes) -> Measurements:
-    """z = INS minus GNSS at every fix within the INS's time, with the receiver's standard deviations."""
+    """z = INS minus GNSS at every fix within the INS's time, with the receiver's standard deviations.
+
+    A lever arm carries the INS to the antenna, as far as its attitude can be trusted.
+    """
     t = gnss.t - gnss.spec.latency_s
     inside = (t > ins.t[0]) & (t <= ins.t[-1])
     lla, velocity = ins.at(t[inside])
@@ -117,6 +127,10 @@ def gnss_measurements(ins: FreeIns, gnss: GnssFixes) -> Measurements:
     place[:, 1] = np.mod(place[:, 1] + np.pi, 2.0 * np.pi) - np.pi
     std = gnss.measurement_std()[inside]
     north, east = earth.metres_per_radian(lla[:, 0], lla[:, 2])
+    if any(gnss.spec.lever_arm_b):
+        arm, sweep = ins.lever_arm(t[inside], np.array(gnss.spec.lever_arm_b))
+        velocity += sweep
+        place += arm / np.column_stack([north, east, -np.ones(len(arm))])
     std = np.column_stack([std[:, 3:], std[:, 0] / north, std[:, 1] / east, std[:, 2]])
     value = np.hstack([velocity - gnss.v_n[inside], place])
     return Measurements(t[inside], value, std, np.zeros(int(inside.sum()), dtype=np.int64))

@@ -124,7 +124,7 @@ def _why_quickstart(jobs: Data | None) -> str:
     return (
         "The quickstart's seconds, most first (all of them under whole jobs): "
         + "; ".join(f"{name} {number(seconds)} s" for name, seconds in stages)
-        + ". A process starts with imports and with the loading of compiled kernels, and each worker does so again."
+        + ". Workers, and the helper that draws half of the figures, are copies of a process whose imports and kernels are loaded."
     )
 
 

@@ -78,19 +78,14 @@ def make_estimator(name: str, **params: Any) -> Estimator:
 
 
 def _check_kinds(name: str, kind: type, params: Mapping[str, Any]) -> None:
-    """Refuse text for a number and the like, where the default of a parameter tells what it is."""
+    """Refuse text for a number and the like, where the default of a parameter tells what it is; a list may stand for a number."""
     for key, parameter in inspect.signature(kind).parameters.items():
         usual, given = parameter.default, params.get(key)
-        if given is None or usual is None or usual is parameter.empty:
+        if given is None or not isinstance(usual, bool | int | float | str):
             continue
-        numbers = isinstance(usual, int | float) and not isinstance(usual, bool)
-        fits = (
-            isinstance(given, int | float) and not isinstance(given, bool)
-            if numbers
-            else isinstance(given, type(usual))
-        )
-        if not fits and isinstance(usual, bool | int | float | str):
-            what = "true or false" if isinstance(usual, bool) else "a number" if numbers else "a text"
+        number = not isinstance(usual, bool | str)
+        if isinstance(given, str | bool) if number else not isinstance(given, type(usual)):
+            what = "a number" if number else "a text" if isinstance(usual, str) else "true or false"
             raise InputError(f"estimator '{name}': '{key}' should be {what} like {usual!r}, got {given!r}")
 
 

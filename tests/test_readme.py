@@ -25,6 +25,9 @@ SHORTER = {
     "--runs 5": "--runs 2",
     "--runs 30": "--runs 3",
     "--runs 40": "--runs 2",
+    "dataset ahrs-lstm-2022": "dataset ahrs-lstm-2022 --profile smoke",
+    "train ahrs-lstm-2022": "train ahrs-lstm-2022 --profile smoke",
+    "tune ipo-2022 --profile smoke": "tune ipo-2022 --profile smoke --algorithms pso",
 }
 NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 
