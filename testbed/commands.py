@@ -101,6 +101,7 @@ def _sweep(load: Callable[[Mapping[str, Any]], Scenario], grid: list[str], folde
     table = run_grid(load, dict(parse_sweep(text) for text in grid), folder, announce=tell_user, **options)
     keys = list(table.columns[: len(grid)])
     rows = table[(table["window"] == "all") & (table["metric"] == "rmse_position_3d_m")]
+    print("3-D position RMSE, m, mean over the runs, whole flight")
     print(rows.pivot(index=keys, columns="estimator", values="mean").to_string(float_format=lambda v: f"{v:.4g}"))
     print(f"sweep: {folder / 'sweep.csv'} and {folder / 'sweep.png'}")
 

@@ -124,5 +124,8 @@ def load_plugin(path: str | Path) -> list[str]:
     }
     if not found:
         raise InputError(f"{path}: no estimator in it; it needs a class with a 'name' and a method run(log)")
+    for name in found:
+        if name in _entries():
+            raise InputError(f"{path}: '{name}' is the name of an estimator that ships; give yours another")
     _plugins.update(found)
     return sorted(found)

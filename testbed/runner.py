@@ -218,16 +218,23 @@ def provenance(scenario: Scenario, setup: Setup) -> dict[str, Any]:
         "scenario": scenario.name,
         "variant": scenario.variant,
         "profile": scenario.profile,
+        "settings": {key: value for key, value in scenario.settings.items() if key != "monte_carlo.seed"},
         "seed": scenario.monte_carlo.seed,
         "runs": scenario.monte_carlo.runs,
         "estimators": [entry.row for entry in scenario.estimators],
-        "plugins": [Path(p).name for p in setup.plugins],
+        "plugins": [_as_seen_from_here(Path(p)) for p in setup.plugins],
         "testbed": testbed.__version__,
         "git": git_revision(),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "packages": packages,
     }
+
+
+def _as_seen_from_here(path: Path) -> str:
+    """Relative to the current folder where it lies below, else the file's name: a result speaks of no machine's folders."""
+    here = Path.cwd()
+    return path.relative_to(here).as_posix() if path.is_relative_to(here) else path.name
 
 
 def git_revision() -> str | None:

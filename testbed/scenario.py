@@ -161,6 +161,7 @@ class Scenario(Table):
     """Free tables for tools that go with a scenario: ``[extra.dataset]``, ``[extra.train]``, ``[extra.tune]``."""
 
     _source: str = PrivateAttr(default="")
+    _settings: dict[str, Any] = PrivateAttr(default_factory=dict)
     _variant: str | None = PrivateAttr(default=None)
     _profile: str | None = PrivateAttr(default=None)
 
@@ -184,6 +185,11 @@ class Scenario(Table):
     def name(self) -> str:
         """``[scenario] name``."""
         return self.scenario.name
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Dotted keys that the caller set in place of the file's."""
+        return self._settings
 
     @property
     def source_path(self) -> str:
@@ -247,7 +253,7 @@ def overlays_of(name_or_path: str | Path) -> tuple[list[str], list[str]]:
 def find_scenario(name_or_path: str | Path) -> Path:
     """The file behind a path or the name of a shipped scenario. Raises InputError with the nearest name."""
     path = Path(name_or_path)
-    if path.suffix == ".toml" or path.exists():
+    if path.suffix == ".toml" or path.is_file():
         if not path.is_file():
             raise InputError(f"{path}: no such scenario file")
         return path
@@ -286,6 +292,7 @@ def load_scenario(
         data = merge({"monte_carlo": {"runs": 1}}, data)  # every run of a recording is the same
     scenario = validate(Scenario, data, str(path), path.resolve().parent)
     scenario._source, scenario._variant, scenario._profile = str(path.resolve()), variant, profile
+    scenario._settings = dict(overrides or {})
     _check_estimators(scenario)
     return scenario
 

@@ -89,7 +89,7 @@ def print_summary(scenario: Scenario, summary: pd.DataFrame, runs: pd.DataFrame)
     wide = chosen.pivot(index="estimator", columns="metric", values="mean")
     statuses = runs.groupby("estimator")["status"].agg(lambda s: int((s != "ok").sum()))
     table = Table(
-        title=f"{scenario.scenario.title or scenario.name}: RMSE, mean of {runs['run'].nunique()} runs",
+        title=f"{scenario.scenario.title or scenario.name}: RMSE, mean of {runs['run'].nunique()} runs, whole flight",
         title_justify="left",
     )
     table.add_column("estimator")

@@ -111,7 +111,8 @@ def plot(table: pd.DataFrame, keys: Sequence[str], path: Path, metric: str = PLO
         axis.set_xlabel(first)
         axis.set_title(", ".join(f"{k} = {v}" for k, v in zip(others, values, strict=False)), fontsize=9)
         axis.grid(alpha=0.3)
-    axes[0].set_ylabel(f"{metric} ({window}), mean and 95 % interval")
+    where = "whole flight" if window == "all" else window
+    axes[0].set_ylabel(f"{metric}, {where}\n(mean and 95 % interval)", fontsize=9)
     if len(rows):
         axes[0].legend(fontsize=8)
     figure.savefig(path, dpi=150)

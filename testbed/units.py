@@ -6,6 +6,7 @@ any process, in any order, and again. It returns the bytes of its files; only th
 
 from __future__ import annotations
 
+import os
 import time
 import traceback
 from collections.abc import Callable, Mapping
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numba.core import event
 
 from testbed import details, metrics, pipeline
 from testbed.errors import InputError, TestbedError
@@ -26,6 +28,9 @@ from testbed.windows import Window
 
 ENVELOPE_POINTS = 600
 """Largest number of times in an error envelope; the spacing is a whole number of seconds."""
+
+FOREIGN = ("site-packages", "dist-packages", f"{os.sep}testbed{os.sep}", f"lib{os.sep}python")
+"""In paths of code that is no estimator's: an error that comes up there has its cause further out."""
 
 Heartbeat = Callable[[int, str, float | None], None]
 """Called with run, estimator row and time limit (s) before an estimator starts; with an empty row when the unit ends."""
@@ -132,10 +137,12 @@ class Bench:
         try:
             with guard:
                 estimator = make_estimator(entry.name, **entry.params)
-                start = time.perf_counter()
-                with np.errstate(all="ignore"):
+                compiling: list[float] = []
+                with np.errstate(all="ignore"), event.install_timer("numba:compiler_lock", compiling.append):
+                    start = time.perf_counter()
                     solution = estimator.run(log)
-                seconds = time.perf_counter() - start
+                    seconds = time.perf_counter() - start
+                seconds -= sum(compiling)  # or a process's first run would count what kernels take to compile or load
             if not isinstance(solution, NavSolution):
                 raise InputError(f"run(log) returned {type(solution).__name__}, not a NavSolution")
         except TimeLimitError:
@@ -201,12 +208,14 @@ def _is_interrupt(error: BaseException | None) -> bool:
 
 
 def _reason(error: BaseException) -> str:
-    """Type, message and place of an error in one line; a user's mistake already says where it is."""
+    """Type, message and place of an error in one line: the innermost place in an estimator; a user's mistake says its own."""
     text = f"{type(error).__name__}: {error}".strip().splitlines()[0][:300]
     frames = traceback.extract_tb(error.__traceback__)
     if not frames or isinstance(error, TestbedError):
         return text
-    return f"{text} ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
+    own = [frame for frame in frames if not any(part in frame.filename for part in FOREIGN)]
+    place = own[-1] if own else frames[-1]
+    return f"{text} ({Path(place.filename).name}:{place.lineno})"
 
 
 def _degrees_hint(solution: NavSolution) -> str:

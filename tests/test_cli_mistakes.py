@@ -11,6 +11,7 @@ import pytest
 
 from testbed import cli
 from testbed.resources import scenario_root
+from testbed.scenario import load_scenario
 
 
 def call(*arguments: str) -> tuple[int, str]:
@@ -38,6 +39,7 @@ def workplace(tmp_path, monkeypatch):
     Path("full/something").write_text("text")
     Path("syntax.py").write_text("def run(:\n")
     Path("nothing.py").write_text("x = 1\n")
+    Path("taken.py").write_text("class Mine:\n    name = 'indirect-kf'\n    def run(self, log):\n        return None\n")
     Path("broken.toml").write_text("[flight\n")
     text = (scenario_root() / "quickstart.toml").read_text()
     Path("own.toml").write_text(text)
@@ -96,6 +98,7 @@ MISTAKES = {
     "run quickstart --plugin syntax.py": ["syntax.py", "line 1"],
     "run quickstart --plugin nothing.py": ["nothing.py", "run(log)"],
     "run quickstart --plugin absent.py": ["absent.py"],
+    "run quickstart --plugin taken.py": ["taken.py", "'indirect-kf'", "ships"],
     "run quickstart --out a-file": ["a-file"],
     "run quickstart --out full": ["full"],
     "run navego --set recording.dir=full --out out": ["full", "imu"],
@@ -135,6 +138,29 @@ def test_why_an_estimator_failed_is_told(workplace):
     code, said = call("run", "quickstart", *options, "--estimators", "fails", "--out", "one")
     assert code == 1
     assert "no estimator" in said
+
+
+def test_the_reason_names_the_line_of_the_estimator_not_of_the_library(workplace):
+    text = "import numpy as np\nclass Fails:\n    name = 'fails'\n    def run(self, log):\n        return np.linalg.inv(np.zeros((2, 2)))\n"
+    Path("fails.py").write_text(text)
+    options = [
+        "--set",
+        "flight.duration_s=10",
+        "--set",
+        "sensors.gnss.outages=[]",
+        "--set",
+        "windows=[]",
+        "--no-report",
+    ]
+    said = call(
+        "run", "quickstart", *options, "--runs", "1", "--jobs", "1", "--plugin", "fails.py", "--estimators", "fails"
+    )[1]
+    assert "Singular matrix (fails.py:5)" in said
+
+
+def test_a_folder_does_not_hide_a_shipped_scenario(workplace):
+    Path("quickstart").mkdir()
+    assert load_scenario("quickstart").name == "quickstart"
 
 
 def test_a_changed_scenario_does_not_resume(workplace):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import sys
 
 import monte_carlo as mc
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from testbed import pipeline, runner
 from testbed.errors import InputError, TestbedError
+from testbed.registry import load_plugin
 from testbed.store import StoreError
 
 TABLES = ("summary.csv", "claims.csv", "improvements.csv", "consistency.csv", "metrics.parquet", "envelopes.parquet")
@@ -202,3 +204,20 @@ def test_a_dead_start_of_every_worker_is_an_error_not_a_loop(tmp_path, monkeypat
     monkeypatch.setattr(executors, "_start_worker", os._exit)
     with pytest.raises(TestbedError, match="die when they start"):
         run(mc.scenario([mc.GOOD]), tmp_path / "out", jobs=2)
+
+
+def test_time_to_compile_is_not_time_to_compute(tmp_path):
+    """An estimator with a kernel that is compiled in its first run: seconds to compile, microseconds to compute."""
+    (tmp_path / "fresh.py").write_text(
+        "import time\nfrom numba import njit\nfrom estimators.ins import Ins\n\n"
+        "class Fresh:\n    name = 'fresh'\n    spent = []\n    def run(self, log):\n"
+        "        start = time.perf_counter()\n"
+        "        njit(lambda x: sum([x * k for k in range(10)]))(3.0)\n"
+        "        Fresh.spent.append(time.perf_counter() - start)\n        return Ins().run(log)\n"
+    )
+    load_plugin(tmp_path / "fresh.py")
+    result = runner.run(
+        mc.scenario([{"name": "fresh"}], runs=1), tmp_path / "out", jobs=1, plugins=[mc.PLUGIN, tmp_path / "fresh.py"]
+    )
+    spent = sys.modules["testbed_plugin_fresh"].Fresh.spent[0]
+    assert float(result.runs["seconds"].iloc[0]) < 0.5 * spent

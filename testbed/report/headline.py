@@ -49,17 +49,21 @@ def headline(result: Result) -> Headline:
         return Headline(metric, window, winner, [f"{winner}: {measure} {value}.", *_losses(result)])
     runs = result.per_run([metric], window).pivot_table(index="run", columns="estimator", values="value")
     gains = {rival: _improvement(result, runs, winner, rival) for rival in order[1:]}
-    sentences = _ranking(f"{winner} has the lowest {measure}: {value}", gains)
+    sentences = _ranking(winner, f"the lowest {measure}: {value}", gains)
     baseline = result.estimators[0]
     if baseline in gains and not any(baseline in sentence for sentence in sentences):
         sentences.append(f"Against {baseline}, the first listed, it is {_difference(gains[baseline])}.")
     return Headline(metric, window, winner, [*sentences, *_losses(result)], gains[order[1]])
 
 
-def _ranking(first: str, gains: dict[str, Improvement]) -> list[str]:
+def _ranking(winner: str, what: str, gains: dict[str, Improvement]) -> list[str]:
     """How firmly the winner leads. ``gains`` are its leads, from the next best to the last."""
+    first = f"{winner} has {what}"
+    rival, lead = next(iter(gains.items()))
     if not any(gain.n for gain in gains.values()):
-        return [f"{first}; next is {next(iter(gains))}."]
+        return [f"{first}; next is {rival}."]
+    if not any(math.isfinite(gain.low) for gain in gains.values()):
+        return [f"{first}, {percent(lead.percent)} % below {rival}, the next best (one run: no interval)."]
     level = [rival for rival, gain in gains.items() if not gain.low > 0.0]
     clear = [rival for rival, gain in gains.items() if gain.low > 0.0]
     if not level:
@@ -67,11 +71,11 @@ def _ranking(first: str, gains: dict[str, Improvement]) -> list[str]:
             f"{first}, {percent(gains[clear[0]].percent)} % below {clear[0]}, the next best ({_sureness(gains[clear[0]])})."
         ]
     lead = gains[level[0]]
-    doubt = f"lead over {level[0]}: {percent(lead.percent)} %, {_sureness(lead)}"
-    sentences = [f"{first}. The runs do not tell it apart from {_listed(level)} ({doubt})."]
+    doubt = f"lead of {winner} over {level[0]}: {percent(lead.percent)} %, {_sureness(lead)}"
+    sentences = [f"{_listed([winner, *level])} have {what}; the runs do not tell them apart ({doubt})."]
     if clear:
         gain = gains[clear[0]]
-        sentences.append(f"It is {percent(gain.percent)} % below {clear[0]}, the next ({_sureness(gain)}).")
+        sentences.append(f"{winner} is {percent(gain.percent)} % below {clear[0]}, the next ({_sureness(gain)}).")
     return sentences
 
 

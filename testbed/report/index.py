@@ -80,7 +80,7 @@ def _entry(folder: Path, start: Path) -> Entry:
         result = load_result(folder)
         names = str(result.manifest.get("scenario")), result.manifest.get("variant") or ""
         title, source, runs, verdicts = result.title, result.source, result.run_count, result.claims["verdict"]
-        sentence = headline(result).sentences[0]
+        sentence = headline(result).sentences[0] + (f" Changed: {result.changed}." if result.changed else "")
     counts = Counter(verdict_kind(verdict) for verdict in verdicts)
     return Entry(*names, folder.name, title, source, link, sentence, runs, {kind: counts[kind] for kind in KINDS})
 

@@ -110,7 +110,8 @@ def percent(value: object) -> str:
         return MISSING
     if 99.95 <= x < 100.0:
         return "> 99.9"
-    return (f"{x:.1f}" if abs(x) < 100 else f"{x:.0f}").replace("-", "−")
+    text = f"{x:.1f}" if abs(x) < 100 else f"{x:.0f}"
+    return "0.0" if text == "-0.0" else text.replace("-", "−")
 
 
 def component_label(component: object, position: int, names: Sequence[str]) -> str:

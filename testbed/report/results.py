@@ -87,6 +87,12 @@ class Result:
         return str(self.head.get("name") or self.folder.name)
 
     @property
+    def changed(self) -> str:
+        """What the command line set in place of the scenario's own settings, in words; empty for nothing."""
+        settings: Mapping[str, Any] = self.manifest.get("settings") or {}
+        return ", ".join(f"{key} = {value}" for key, value in settings.items())
+
+    @property
     def source(self) -> str:
         return str(self.info.get("source") or self.head.get("source") or "")
 

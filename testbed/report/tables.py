@@ -91,7 +91,13 @@ def comparison(result: Result, window: str) -> Table:
         rows.append((label, [_mean_cell(result, window, m, label, best[m]) for m in metrics]))
     columns = [Column(SHORT[m], unit(m), title=metric_label(m)) for m in metrics]
     counts = sorted({int(n) for n in result.summary.loc[result.summary["window"] == window, "n"].dropna()})
-    over = f"{counts[0]} to {counts[-1]} runs" if len(counts) > 1 else f"{counts[0]} runs" if counts else "no runs"
+    over = (
+        f"{counts[0]} to {counts[-1]} runs"
+        if len(counts) > 1
+        else f"{counts[0]} run{'s' * (counts[0] != 1)}"
+        if counts
+        else "no runs"
+    )
     note = (
         f"RMSE ({window_label(window)}) unless the head says otherwise: mean over {over}. Best of each column in bold."
     )

@@ -18,6 +18,8 @@ def markdown(result: Result, figures: dict[str, str]) -> str:
     parts = [f"# {result.title}"]
     if result.source:
         parts.append(f"*{result.source}*")
+    if result.changed:
+        parts.append(f"Changed: {result.changed}")
     parts.append(" ".join(headline(result).sentences))
     if result.findings:
         parts.append("## Findings\n\n" + _demote(result.findings.strip()))

@@ -58,7 +58,8 @@ def print_study(folder: Path) -> None:
     """The held-out table on screen."""
     import pandas as pd
 
-    table = pd.read_csv(folder / "heldout.csv").sort_values("train", kind="stable")
+    table = pd.read_csv(folder / "heldout.csv").sort_values("test", kind="stable")
+    print("objective on the runs of the search (train) and on unseen ones (test); improvement over the data sheet in %")
     print(table.to_string(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
 
 
