@@ -55,6 +55,8 @@ def run(
         _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=count, **options)
         return
     _announce_compilation()
+    if not options.get("resume") and (earlier := _stored_runs(folder)):
+        tell_user(f"{folder} holds {earlier} runs of an earlier result, which this one replaces")
     with progress_line("runs") as show:
 
         def tell(done: int, total: int) -> None:
@@ -63,8 +65,8 @@ def run(
                 preload()  # while the workers are at it
 
         result = testbed.runner.run(scenario, folder, runs=count, progress=tell, **options)
-    used, stored = result.runs["run"].nunique(), len(list((folder / "runs").glob("*.parquet")))
-    if stored > used:
+    used = result.runs["run"].nunique()
+    if (stored := _stored_runs(folder)) > used:
         tell_user(f"{stored} runs are stored in {folder}; tables and report are of the first {used}")
     print_summary(scenario, result.summary, result.runs)
     sys.stdout.flush()
@@ -81,6 +83,10 @@ def run(
                 f"{folder}: stopped before the report was made; testbed report {folder} makes it"
             ) from None
     print(f"report: {folder / 'report.html'}" if report else f"tables: {folder}; the report: testbed report {folder}")
+
+
+def _stored_runs(folder: Path) -> int:
+    return len(list((folder / "runs").glob("*.parquet")))
 
 
 def _announce_compilation() -> None:

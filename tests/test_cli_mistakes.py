@@ -158,6 +158,22 @@ def test_the_reason_names_the_line_of_the_estimator_not_of_the_library(workplace
     assert "Singular matrix (fails.py:5)" in said
 
 
+def test_what_becomes_of_stored_runs_is_told(workplace):
+    options = [
+        "--set",
+        "flight.duration_s=10",
+        "--set",
+        "sensors.gnss.outages=[]",
+        "--set",
+        "windows=[]",
+        "--no-report",
+    ]
+    options += ["--jobs", "1", "--estimators", "ins", "--out", "out"]
+    assert "earlier" not in call("run", "quickstart", *options, "--runs", "2")[1]
+    assert "tables and report are of the first 1" in call("run", "quickstart", *options, "--runs", "1", "--resume")[1]
+    assert "holds 2 runs of an earlier result" in call("run", "quickstart", *options, "--runs", "1")[1]
+
+
 def test_a_folder_does_not_hide_a_shipped_scenario(workplace):
     Path("quickstart").mkdir()
     assert load_scenario("quickstart").name == "quickstart"
