@@ -90,7 +90,7 @@ def test_three_scales_turn_single_axes(flight):
     )
     np.testing.assert_allclose(ratio, [1.0, 1.0, 5.0, 1.0, 1.0, 1.0])
     for wrong in ([1.0, 2.0], [1.0, 0.0, 1.0], "two", True):
-        with pytest.raises(InputError, match="a positive number|should be a number"):
+        with pytest.raises(InputError, match=r"a positive number|should be a number"):
             registry.make_estimator("indirect-kf", gyro_noise_scale=wrong)
 
 
