@@ -37,6 +37,7 @@ RUNS = {"narx-ukf-2021-bias-blind": 20}
 KEPT = (
     "report.html",
     "report.md",
+    "report.json",
     "tables.tex",
     "summary.csv",
     "claims.csv",
@@ -68,7 +69,7 @@ def main(names: list[str]) -> None:
     if not names or "ipo-2022" in names:
         ipo_studies()
     print(f"figures: {pictures.shrink(ROOT) / 1e6:.1f} MB")
-    made = sorted({path.parent for name in ("manifest.json", "report.json") for path in ROOT.glob(f"*/{name}")})
+    made = sorted(path.parent for path in ROOT.glob("*/report.json"))
     if made:
         render_index(made, ROOT)
 

@@ -45,6 +45,7 @@ _OWN_FILES = (
         "envelopes.parquet",
         "report.html",
         "report.md",
+        "report.json",
         "tables.tex",
         MANIFEST,
     ),

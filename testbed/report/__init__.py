@@ -20,7 +20,7 @@ def preload() -> None:
 
 
 def render(result_dir: str | Path, svg: bool = True) -> None:
-    """Write ``report.html``, ``report.md``, ``tables.tex`` and ``figures/*.png`` (and ``*.svg``) into a result folder.
+    """Write ``report.html``, ``report.md``, ``report.json``, ``tables.tex`` and ``figures/*.png`` (and ``*.svg``) into a result folder.
 
     Raises InputError when the folder holds no result.
     """
@@ -28,7 +28,7 @@ def render(result_dir: str | Path, svg: bool = True) -> None:
     from functools import partial
 
     from testbed.forking import share
-    from testbed.report import figures, html, text
+    from testbed.report import figures, html, index, text
     from testbed.report.results import load_result
 
     preload()  # once, before the work is shared
@@ -41,6 +41,7 @@ def render(result_dir: str | Path, svg: bool = True) -> None:
         captions = {name: drawing.caption for name, drawing in drawn.items()}
         (result.folder / "report.md").write_text(text.markdown(result, captions), encoding="utf-8")
         (result.folder / "tables.tex").write_text(text.latex(result), encoding="utf-8")
+        index.tell_entry(result)
         (result.folder / "report.html").write_text(html.page(result), encoding="utf-8")
 
     figure_tasks = [partial(figures.save, drawing, pictures / name, svg) for name, drawing in drawn.items()]

@@ -15,7 +15,7 @@ from urllib.parse import quote
 from testbed.report import html
 from testbed.report.headline import headline
 from testbed.report.labels import verdict_kind
-from testbed.report.results import load_result
+from testbed.report.results import Result, load_result
 
 KINDS = {"good": "reproduced", "part": "in part", "bad": "not reproduced", "open": "not tested"}
 
@@ -69,20 +69,34 @@ def _rows(reports: list[Entry]) -> list[Entry]:
     return rows
 
 
+ENTRY = "report.json"
+"""Of a folder with a report: what the index shows of it, as `tell_entry` and the tuning report leave it."""
+
+
+def tell_entry(result: Result) -> None:
+    """Leave `ENTRY` beside a report: the runs, which make its headline firm, need not travel with the page."""
+    told = {
+        "scenario": result.manifest.get("scenario"),
+        "variant": result.manifest.get("variant"),
+        "title": result.title,
+        "source": result.source,
+        "sentence": headline(result).sentences[0] + (f" Changed: {result.changed}." if result.changed else ""),
+        "runs": result.run_count,
+        "verdicts": [str(verdict) for verdict in result.claims["verdict"]],
+    }
+    (result.folder / ENTRY).write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
 def _entry(folder: Path, start: Path) -> Entry:
-    """The entry of a result folder, or of a report that left ``report.json``, as a tuning study does."""
+    """The entry of a folder with a report. Raises InputError where there is neither a report nor a result."""
+    if not (folder / ENTRY).is_file():
+        tell_entry(load_result(folder))
+    told = json.loads((folder / ENTRY).read_text(encoding="utf-8"))
     link = quote(Path(os.path.relpath(folder / "report.html", start)).as_posix())
-    if (folder / "report.json").is_file():
-        told = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-        names, runs, verdicts = (told["scenario"], told["variant"] or ""), told["runs"], told["verdicts"]
-        title, source, sentence = told["title"], told["source"], told["sentence"]
-    else:
-        result = load_result(folder)
-        names = str(result.manifest.get("scenario")), result.manifest.get("variant") or ""
-        title, source, runs, verdicts = result.title, result.source, result.run_count, result.claims["verdict"]
-        sentence = headline(result).sentences[0] + (f" Changed: {result.changed}." if result.changed else "")
-    counts = Counter(verdict_kind(verdict) for verdict in verdicts)
-    return Entry(*names, folder.name, title, source, link, sentence, runs, {kind: counts[kind] for kind in KINDS})
+    counts = Counter(verdict_kind(verdict) for verdict in told["verdicts"])
+    names = str(told["scenario"]), told["variant"] or "", folder.name
+    shown = told["title"], told["source"], link, told["sentence"], told["runs"]
+    return Entry(*names, *shown, {kind: counts[kind] for kind in KINDS})
 
 
 def _markdown(entries: list[Entry]) -> str:
