@@ -94,9 +94,17 @@ def _entry(folder: Path, start: Path) -> Entry:
     told = json.loads((folder / ENTRY).read_text(encoding="utf-8"))
     link = quote(Path(os.path.relpath(folder / "report.html", start)).as_posix())
     counts = Counter(verdict_kind(verdict) for verdict in told["verdicts"])
-    names = str(told["scenario"]), told["variant"] or "", folder.name
-    shown = told["title"], told["source"], link, told["sentence"], told["runs"]
-    return Entry(*names, *shown, {kind: counts[kind] for kind in KINDS})
+    return Entry(
+        scenario=str(told["scenario"]),
+        variant=told["variant"] or "",
+        folder=folder.name,
+        title=told["title"],
+        source=told["source"],
+        link=link,
+        sentence=told["sentence"],
+        runs=told["runs"],
+        verdicts={kind: counts[kind] for kind in KINDS},
+    )
 
 
 def _markdown(entries: list[Entry]) -> str:
