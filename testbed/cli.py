@@ -137,7 +137,6 @@ def run_command(
         print("\nRun one with: testbed run NAME")
         return
     offered = _load_plugins(plugin)
-    keys = [text.partition("=")[0].strip() for text in [*(settings or []), *(sweep or [])]]
     commands.run(
         _loader(scenario, profile, variant, settings, seed),
         out=out,
@@ -152,7 +151,6 @@ def run_command(
         cap=cap,
         report=report,
         plugins=plugin or [],
-        touched=[key.split(".")[1] for key in keys if key.startswith("estimators.")],
         offered=offered,
     )
 
@@ -227,7 +225,7 @@ def compare_command(
     new: Annotated[Path, typer.Argument(help="Result folder to judge.")],
     windows: Annotated[bool, typer.Option("--windows", help="Also the changes in single windows.")] = False,
 ) -> None:
-    """Say which metrics changed beyond their statistical error; exit code 1 if any got worse."""
+    """Say which metrics changed beyond their statistical error; exit code 1 if any got worse or is missing."""
     from testbed import commands
 
     raise typer.Exit(commands.compare(old, new, windows))

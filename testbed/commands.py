@@ -33,18 +33,17 @@ def run(
     width: float,
     cap: int,
     report: bool = True,
-    touched: Sequence[str] = (),
     offered: Sequence[str] = (),
     **options: Any,
 ) -> None:
     """``testbed run``: the Monte Carlo, the table on screen, the report. ``load`` makes the scenario from overrides.
 
-    ``touched`` are the estimators that a setting changed, ``offered`` those that plug-ins brought.
+    ``offered`` are the estimators that plug-ins brought.
     """
     import testbed.runner
     from testbed.report import preload, render
 
-    scenario = _choose_estimators(load({}), estimators, touched)
+    scenario = _choose_estimators(load({}), estimators)
     unused = [name for name in offered if name not in {entry.name for entry in scenario.estimators}]
     if unused and estimators is None:
         tell_user(f"no row of {scenario.name} uses {', '.join(unused)}: add --estimators +{',+'.join(unused)}")
@@ -120,10 +119,10 @@ def _run_count(runs: str | None) -> int | None:
     return int(runs)
 
 
-def _choose_estimators(scenario: Scenario, names: str | None, touched: Sequence[str] = ()) -> Scenario:
+def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
     """Keep the named rows; a name that is no row of the scenario but an estimator becomes a row with defaults.
 
-    Names that begin with ``+`` come beside all rows of the scenario. ``touched`` are rows (positions or names) that a setting changed.
+    Names that begin with ``+`` come beside all rows of the scenario. A row that a setting changed must be among them.
     """
     if names is None:
         return scenario
@@ -145,7 +144,7 @@ def _choose_estimators(scenario: Scenario, names: str | None, touched: Sequence[
     if not chosen:
         raise InputError("--estimators: name at least one")
     kept = {entry.row for entry in chosen}
-    for place in touched:
+    for place in [key.split(".")[1] for key in scenario.settings if key.startswith("estimators.")]:
         row = scenario.estimators[int(place)].row if place.isdigit() else place
         if row not in kept and row not in {entry.name for entry in chosen}:
             raise InputError(f"'estimators.{place}' is set, but --estimators leaves '{row}' out")
@@ -284,6 +283,7 @@ def import_recording(format: str, files: list[Path], out: Path) -> None:
 def report(folders: list[Path], out: Path) -> None:
     """``testbed report``."""
     from testbed.report import render, render_index
+    from testbed.tuning.report import write_report
     from testbed.tuning.tune import read_manifest
 
     check_place(out)
@@ -294,16 +294,10 @@ def report(folders: list[Path], out: Path) -> None:
         if read_manifest(folder) is None:
             render(folder)
         else:
-            _report_study(folder)
+            write_report(folder)
         print(f"report: {folder / 'report.html'}")
     if len(folders) > 1:
         print(f"index: {render_index(folders, out)}")
-
-
-def _report_study(folder: Path) -> None:
-    from testbed.tuning.report import write_report
-
-    write_report(folder)
 
 
 def compare(old: Path, new: Path, windows: bool = False) -> int:

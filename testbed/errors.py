@@ -33,7 +33,11 @@ OWN = "one of your own comes with --plugin FILE.py"
 def nearest(name: str, valid: Iterable[str]) -> str:
     """A hint that ends an error message: the closest valid names, or all of them when none is close."""
     names = sorted(valid)
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    if close:
-        return f"did you mean '{close[0]}'?"
+    if (close := closest(name, names)) is not None:
+        return f"did you mean '{close}'?"
     return "valid: " + (", ".join(names) if names else "none")
+
+
+def closest(name: str, valid: Iterable[str]) -> str | None:
+    """The valid name that was probably meant; None where none is close."""
+    return next(iter(difflib.get_close_matches(name, sorted(valid), n=1, cutoff=0.5)), None)

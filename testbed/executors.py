@@ -108,12 +108,17 @@ class Pool:
 
     def run(self, runs: Iterable[int]) -> Iterator[Finished]:
         """Units in the order in which they are done; two per worker are in flight, the first from now on."""
-        waiting = iter(runs)
-        return self._finish({self._submit(run): run for run in islice(waiting, 2 * self.jobs)}, waiting)
+        units = self._units(iter(runs))
+        next(units)
+        return units  # type: ignore[return-value]  # only the first, which is taken, is None
 
-    def _finish(self, flying: dict[Future[Finished], int], waiting: Iterator[int]) -> Iterator[Finished]:
+    def _units(self, waiting: Iterator[int]) -> Iterator[Finished | None]:
+        """None once the first units are in flight, so that closing the generator ends the workers even then; the units."""
+        flying: dict[Future[Finished], int] = {}
         again: list[int] = []
         try:
+            flying |= {self._submit(run): run for run in islice(waiting, 2 * self.jobs)}
+            yield None
             while True:
                 while len(flying) < 2 * self.jobs and (run := next(waiting, None)) is not None:
                     flying[self._submit(run)] = run

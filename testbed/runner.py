@@ -107,13 +107,12 @@ def run(
         wanted = 0
         for wanted in runs.checkpoints() if isinstance(runs, Auto) else [scenario.monte_carlo.runs]:
             missing = [k for k in range(wanted) if k not in done]
-            units = _units(setup, missing, jobs, client)
-            from testbed.aggregate import aggregate  # pandas and scipy.stats load while the workers are at it
-
-            _complete(store, missing, wanted, units, progress)
+            _complete(store, missing, wanted, _units(setup, missing, jobs, client), progress)
             done.update(missing)
             if isinstance(runs, Auto) and _narrow(store, scenario, wanted, runs.width_pct):
                 break
+    from testbed.aggregate import aggregate
+
     try:
         tables = aggregate(store, scenario, range(wanted), envelope_times(trajectory))
     except KeyboardInterrupt:
@@ -258,9 +257,10 @@ def git_revision() -> str | None:
 def _complete(store: Store, missing: list[int], wanted: int, units: Any, progress: Progress | None) -> None:
     """Compute and store the missing runs; ``units`` is a generator of them."""
     done = wanted - len(missing)
-    if progress is not None:
-        progress(done, wanted)
     try:
+        if progress is not None:
+            progress(done, wanted)
+
         for unit in units:
             store.write_run(unit.run, unit.content, unit.files)
             done += 1

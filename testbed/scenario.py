@@ -19,7 +19,7 @@ from testbed import resources
 from testbed.errors import OWN, InputError, nearest
 from testbed.flight.config import FlightConfig
 from testbed.formats.config import RecordingConfig
-from testbed.schema import Table, read_toml, validate
+from testbed.schema import Table, dump_toml, read_toml, validate
 from testbed.sensors.config import InitialConfig, SensorsConfig
 
 if TYPE_CHECKING:
@@ -373,33 +373,3 @@ def parse_setting(text: str) -> tuple[str, Any]:
         return key.strip(), tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return key.strip(), value.strip()
-
-
-def dump_toml(data: Mapping[str, Any], prefix: str = "") -> str:
-    """Plain data as TOML text: values first, then tables, then lists of tables."""
-    lines: list[str] = []
-    nested: list[str] = []
-    for key, value in data.items():
-        name = f"{prefix}{_toml_key(key)}"
-        if isinstance(value, Mapping):
-            body = dump_toml(value, f"{name}.")
-            nested.append(f"\n[{name}]\n{body}" if value else f"\n[{name}]\n")
-        elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
-            nested += [f"\n[[{name}]]\n{dump_toml(item, f'{name}.')}" for item in value]
-        else:
-            lines.append(f"{_toml_key(key)} = {_toml_value(value)}\n")
-    return "".join(lines + nested)
-
-
-def _toml_key(key: str) -> str:
-    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else json.dumps(key)
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_toml_key(k)} = {_toml_value(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    return str(value).lower() if isinstance(value, bool) else repr(value)

@@ -5,17 +5,17 @@ Unknown keys, strings in place of numbers, NaN and infinities are refused. `vali
 
 from __future__ import annotations
 
+import json
 import tomllib
 import types
 import typing
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from testbed.errors import InputError, nearest
+from testbed.errors import InputError, closest, nearest
 
 
 class Table(BaseModel):
@@ -55,10 +55,9 @@ def validate(model: type[Model], data: Mapping[str, Any], source: str, folder: P
 def _without_consequences(model: type[BaseModel], problems: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Without the keys that are missing only because they were misspelt, as another problem says."""
     meant = {
-        (*problem["loc"][:-1], close[0])
+        (*problem["loc"][:-1], closest(str(problem["loc"][-1]), _fields_at(model, problem["loc"][:-1])))
         for problem in problems
         if problem["type"] == "extra_forbidden"
-        and (close := get_close_matches(str(problem["loc"][-1]), _fields_at(model, problem["loc"][:-1]), 1, 0.5))
     }
     return [p for p in problems if not (p["type"] == "missing" and p["loc"] in meant)]
 
@@ -119,3 +118,33 @@ def _unwrap(annotation: Any) -> list[Any]:
     if origin in (list, tuple, dict, typing.Union, types.UnionType):
         return [kind for arg in typing.get_args(annotation) for kind in _unwrap(arg)]
     return []
+
+
+def dump_toml(data: Mapping[str, Any], prefix: str = "") -> str:
+    """Plain data as TOML text: values first, then tables, then lists of tables."""
+    lines: list[str] = []
+    nested: list[str] = []
+    for key, value in data.items():
+        name = f"{prefix}{_toml_key(key)}"
+        if isinstance(value, Mapping):
+            body = dump_toml(value, f"{name}.")
+            nested.append(f"\n[{name}]\n{body}" if value else f"\n[{name}]\n")
+        elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+            nested += [f"\n[[{name}]]\n{dump_toml(item, f'{name}.')}" for item in value]
+        else:
+            lines.append(f"{_toml_key(key)} = {_toml_value(value)}\n")
+    return "".join(lines + nested)
+
+
+def _toml_key(key: str) -> str:
+    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else json.dumps(key)
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_toml_key(k)} = {_toml_value(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    return str(value).lower() if isinstance(value, bool) else repr(value)

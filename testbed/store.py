@@ -220,6 +220,11 @@ def files_digest(paths: Iterable[str | Path]) -> str:
     return digest.hexdigest()[:16]
 
 
+def write_json(path: Path, data: object) -> None:
+    """`write_atomic` of JSON."""
+    write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
+
+
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
     """Turn the operating system's refusals into a message that says how to go on."""

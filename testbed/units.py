@@ -6,7 +6,7 @@ any process, in any order, and again. It returns the bytes of its files; only th
 
 from __future__ import annotations
 
-import os
+import sysconfig
 import time
 import traceback
 from collections.abc import Callable, Mapping
@@ -29,8 +29,8 @@ from testbed.windows import Window
 ENVELOPE_POINTS = 600
 """Largest number of times in an error envelope; the spacing is a whole number of seconds."""
 
-FOREIGN = ("site-packages", "dist-packages", f"{os.sep}testbed{os.sep}", f"lib{os.sep}python")
-"""In paths of code that is no estimator's: an error that comes up there has its cause further out."""
+FOREIGN = (str(Path(__file__).parent), *(sysconfig.get_paths()[kind] for kind in ("stdlib", "purelib", "platlib")))
+"""Folders of code that is no estimator's: an error that comes up there has its cause further out."""
 
 Heartbeat = Callable[[int, str, float | None], None]
 """Called with run, estimator row and time limit (s) before an estimator starts; with an empty row when the unit ends."""
@@ -213,7 +213,7 @@ def _reason(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     if not frames or isinstance(error, TestbedError):
         return text
-    own = [frame for frame in frames if not any(part in frame.filename for part in FOREIGN)]
+    own = [frame for frame in frames if not frame.filename.startswith(FOREIGN)]
     place = own[-1] if own else frames[-1]
     return f"{text} ({Path(place.filename).name}:{place.lineno})"
 

@@ -13,6 +13,9 @@ from testbed import cli
 from testbed.resources import scenario_root
 from testbed.scenario import load_scenario
 
+SHORT = ["--set", "flight.duration_s=10", "--set", "sensors.gnss.outages=[]", "--set", "windows=[]"]
+"""Ten seconds of the quickstart, in which its outage does not come up."""
+
 
 def call(*arguments: str) -> tuple[int, str]:
     """Exit code and stderr of ``testbed ...``, run in this process."""
@@ -144,12 +147,7 @@ def test_the_reason_names_the_line_of_the_estimator_not_of_the_library(workplace
     text = "import numpy as np\nclass Fails:\n    name = 'fails'\n    def run(self, log):\n        return np.linalg.inv(np.zeros((2, 2)))\n"
     Path("fails.py").write_text(text)
     options = [
-        "--set",
-        "flight.duration_s=10",
-        "--set",
-        "sensors.gnss.outages=[]",
-        "--set",
-        "windows=[]",
+        *SHORT,
         "--no-report",
     ]
     said = call(
@@ -160,12 +158,7 @@ def test_the_reason_names_the_line_of_the_estimator_not_of_the_library(workplace
 
 def test_what_becomes_of_stored_runs_is_told(workplace):
     options = [
-        "--set",
-        "flight.duration_s=10",
-        "--set",
-        "sensors.gnss.outages=[]",
-        "--set",
-        "windows=[]",
+        *SHORT,
         "--no-report",
     ]
     options += ["--jobs", "1", "--estimators", "ins", "--out", "out"]
@@ -252,12 +245,7 @@ def test_an_answer_that_cannot_be_compared_is_no_row_of_the_table(part, workplac
     """A solution of the first second, or with an attitude of length zero, would win what it is not measured on."""
     Path("part.py").write_text(HALF)
     options = [
-        "--set",
-        "flight.duration_s=10",
-        "--set",
-        "sensors.gnss.outages=[]",
-        "--set",
-        "windows=[]",
+        *SHORT,
         "--no-report",
     ]
     options += [
@@ -281,7 +269,7 @@ def test_an_answer_that_cannot_be_compared_is_no_row_of_the_table(part, workplac
 def test_an_estimator_of_ones_own_beside_the_rows_of_a_scenario(workplace):
     """Without ``--estimators`` a plug-in is in no row, which is told; ``+`` adds it; its parameter is set by name."""
     Path("part.py").write_text(HALF)
-    quick = ["--set", "flight.duration_s=10", "--set", "sensors.gnss.outages=[]", "--set", "windows=[]", "--no-report"]
+    quick = [*SHORT, "--no-report"]
     quick += [
         "--runs",
         "1",

@@ -76,7 +76,7 @@ def test_headline_does_not_crown_a_tie(tmp_path: Path) -> None:
     twin = metrics["estimator"].eq("b").map({True: 1.0, False: 1.0})
     base = metrics.groupby(["run", "window", "metric"])["value"].transform("first")
     metrics.assign(value=base * flip * twin).to_parquet(folder / "metrics.parquet")
-    assert "do not tell them apart" in headline(load_result(folder)).sentences[0]
+    assert "do not tell it apart" in headline(load_result(folder)).sentences[0]
 
 
 def test_without_the_runs_nothing_is_called_a_tie(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from testbed import pipeline, runner
+from testbed import executors, pipeline, runner
 from testbed.errors import InputError, TestbedError
 from testbed.registry import load_plugin
 from testbed.store import StoreError
@@ -221,3 +221,13 @@ def test_time_to_compile_is_not_time_to_compute(tmp_path):
     )
     spent = sys.modules["testbed_plugin_fresh"].Fresh.spent[0]
     assert float(result.runs["seconds"].iloc[0]) < 0.5 * spent
+
+
+def test_closing_a_pool_before_its_first_unit_ends_its_workers():
+    """Ctrl-C may come while the tables' modules load, before anyone has asked for a unit."""
+    pool = executors.Pool(runner.plan(mc.scenario([mc.GOOD], runs=4), plugins=[mc.PLUGIN]), 2)
+    units = pool.run(range(4))
+    assert pool._executor is not None
+    workers = list(pool._executor._processes.values())
+    units.close()
+    assert len(workers) == 2 and not any(worker.is_alive() for worker in workers) and pool._executor is None

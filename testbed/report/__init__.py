@@ -30,6 +30,7 @@ def render(result_dir: str | Path, svg: bool = True) -> None:
     from testbed.forking import share
     from testbed.report import figures, html, index, text
     from testbed.report.results import load_result
+    from testbed.store import write_json
 
     preload()  # once, before the work is shared
     result = load_result(result_dir)
@@ -41,7 +42,7 @@ def render(result_dir: str | Path, svg: bool = True) -> None:
         captions = {name: drawing.caption for name, drawing in drawn.items()}
         (result.folder / "report.md").write_text(text.markdown(result, captions), encoding="utf-8")
         (result.folder / "tables.tex").write_text(text.latex(result), encoding="utf-8")
-        index.tell_entry(result)
+        write_json(result.folder / index.ENTRY, index.entry_of(result))
         (result.folder / "report.html").write_text(html.page(result), encoding="utf-8")
 
     figure_tasks = [partial(figures.save, drawing, pictures / name, svg) for name, drawing in drawn.items()]

@@ -64,7 +64,7 @@ def _ranking(winner: str, what: str, gains: dict[str, Improvement]) -> list[str]
         return [f"{first}; next is {rival}."]
     if not any(math.isfinite(gain.low) for gain in gains.values()):
         return [f"{first}, {percent(lead.percent)} % below {rival}, the next best (one run: no interval)."]
-    level = [rival for rival, gain in gains.items() if not gain.low > 0.0]
+    level = [rival for rival, gain in gains.items() if gain.low <= 0.0]
     clear = [rival for rival, gain in gains.items() if gain.low > 0.0]
     if not level:
         return [
@@ -72,7 +72,7 @@ def _ranking(winner: str, what: str, gains: dict[str, Improvement]) -> list[str]
         ]
     lead = gains[level[0]]
     doubt = f"lead of {winner} over {level[0]}: {percent(lead.percent)} %, {_sureness(lead)}"
-    sentences = [f"{_listed([winner, *level])} have {what}; the runs do not tell them apart ({doubt})."]
+    sentences = [f"{first}, but the runs do not tell it apart from {_listed(level)} ({doubt})."]
     if clear:
         gain = gains[clear[0]]
         sentences.append(f"{winner} is {percent(gain.percent)} % below {clear[0]}, the next ({_sureness(gain)}).")

@@ -10,6 +10,7 @@ import os
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from testbed.report import html
@@ -70,12 +71,12 @@ def _rows(reports: list[Entry]) -> list[Entry]:
 
 
 ENTRY = "report.json"
-"""Of a folder with a report: what the index shows of it, as `tell_entry` and the tuning report leave it."""
+"""Of a folder with a report: what the index shows of it, for a page that travels without its runs."""
 
 
-def tell_entry(result: Result) -> None:
-    """Leave `ENTRY` beside a report: the runs, which make its headline firm, need not travel with the page."""
-    told = {
+def entry_of(result: Result) -> dict[str, Any]:
+    """The content of `ENTRY`."""
+    return {
         "scenario": result.manifest.get("scenario"),
         "variant": result.manifest.get("variant"),
         "title": result.title,
@@ -84,14 +85,14 @@ def tell_entry(result: Result) -> None:
         "runs": result.run_count,
         "verdicts": [str(verdict) for verdict in result.claims["verdict"]],
     }
-    (result.folder / ENTRY).write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def _entry(folder: Path, start: Path) -> Entry:
     """The entry of a folder with a report. Raises InputError where there is neither a report nor a result."""
-    if not (folder / ENTRY).is_file():
-        tell_entry(load_result(folder))
-    told = json.loads((folder / ENTRY).read_text(encoding="utf-8"))
+    if (folder / ENTRY).is_file() and not (folder / "metrics.parquet").is_file():
+        told = json.loads((folder / ENTRY).read_text(encoding="utf-8"))
+    else:
+        told = entry_of(load_result(folder))
     link = quote(Path(os.path.relpath(folder / "report.html", start)).as_posix())
     counts = Counter(verdict_kind(verdict) for verdict in told["verdicts"])
     return Entry(

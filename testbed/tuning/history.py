@@ -7,7 +7,6 @@ files only. A resumed search asks again from the start and is told the stored va
 from __future__ import annotations
 
 import io
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,11 +20,6 @@ from testbed.store import write_atomic
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-def write_json(path: Path, data: object) -> None:
-    """`write_atomic` of JSON."""
-    write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
 
 
 class History:

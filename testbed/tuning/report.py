@@ -5,7 +5,6 @@ Objective: sum of the scenario's metrics (m, m/s, degrees). The paper's figures 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from testbed.errors import InputError
 from testbed.scenario import Scenario, load_scenario
 from testbed.schema import read_toml, validate
-from testbed.store import write_atomic
+from testbed.store import write_atomic, write_json
 from testbed.tuning import tables
 from testbed.tuning.config import TuneConfig, tuned_entry
 from testbed.tuning.objective import record, scenario_space
@@ -125,7 +124,7 @@ def write_page(study: Study, text: Path, verdicts: Sequence[Claim]) -> None:
     }
     page = html.document(entry["title"], "Navigation testbed, tuning study", entry["sentence"], source, text.parent)
     write_atomic(text.with_suffix(".html"), page.encode())
-    write_atomic(text.with_suffix(".json"), (json.dumps(entry, indent=1) + "\n").encode())
+    write_json(text.with_suffix(".json"), entry)
 
 
 def write_functions(folder: str | Path, **settings: Any) -> Path:

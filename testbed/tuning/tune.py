@@ -20,10 +20,11 @@ import numpy as np
 
 from testbed.errors import InputError, TestbedError, nearest
 from testbed.registry import load_plugin
-from testbed.scenario import Scenario, dump_toml
-from testbed.store import write_atomic
+from testbed.scenario import Scenario
+from testbed.schema import dump_toml
+from testbed.store import write_atomic, write_json
 from testbed.tuning.config import TuneConfig, tune_config, tuned_entry
-from testbed.tuning.history import History, write_json
+from testbed.tuning.history import History
 from testbed.tuning.objective import Objective, make_objective, record, scenario_space
 from testbed.tuning.search import ONE_BY_ONE, make_search
 
