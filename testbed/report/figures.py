@@ -286,7 +286,9 @@ def drawings(result: Result) -> dict[str, Drawing]:
         add("monte_carlo", caption, spread, per_run, result.estimators, shown)
     table = result.envelopes.dropna(subset=["rms"])
     if len(table := table[table["estimator"].isin(lines)]):
-        group = "Position" if table["quantity"].isin(GROUPS["Position"]).any() else "Attitude"
+        judged = [group for group, names in GROUPS.items() if lead.metric.endswith(f"_{names[0].rpartition('_')[2]}")]
+        there = [group for group in (*judged, *GROUPS) if table["quantity"].isin(GROUPS[group]).any()]
+        group = there[0]  # of the measure that the headline is about: an attitude filter's position says nothing
         caption = f"{group} error over the runs: RMS (line) and the filters' own sigma (dotted)."
         add("envelope", caption, envelopes, table, GROUPS[group], spans, phases)
     if len(table := result.consistency.dropna(subset=["mean"])):
