@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.errors import InputError
-from testbed.records import GnssFixes, Innovations, NavSolution, SensorLog, Trajectory
+from testbed.records import STATE_NAMES, GnssFixes, Innovations, NavSolution, SensorLog, Trajectory
 from testbed.specs import TriadSpec
 
 Array = NDArray[np.float64]
@@ -94,7 +94,8 @@ class IndirectKf:
             std=std,
             covariance_t=imu.t[stride - 1 :: stride],
             covariance=snapshots,
-            innovations=Innovations(gnss.t[used], innovation[used], innovation_covariance[used]),
+            innovations={"gnss": Innovations(gnss.t[used], innovation[used], innovation_covariance[used])},
+            states=STATE_NAMES,
         )
 
     def process_std(self, log: SensorLog) -> Array:

@@ -208,7 +208,7 @@ def test_perfect_sensors_leave_the_truth_alone():
     """
     log, *_ = draw_log(0, errors=0.0)
     solution, truth = IndirectKf().run(log), flight()
-    innovation = np.abs(solution.innovations.value).max(axis=0)
+    innovation = np.abs(solution.innovations["gnss"].value).max(axis=0)
     assert innovation[:3].max() < 5e-3
     assert innovation[3:].max() < 5e-3
     assert np.abs(attitude_errors(solution.q_nb, truth.q_nb[1:])).max() < 1e-4
@@ -230,7 +230,7 @@ def test_consistency_over_runs():
         for g, part in enumerate(groups):
             e, p = error[:, part], solution.covariance[:, part, part]
             nees[g] += np.einsum("ki,kij,kj->k", e, np.linalg.inv(p), e)
-        nu = solution.innovations
+        nu = solution.innovations["gnss"]
         nis = nis + np.einsum("ki,kij,kj->k", nu.value, np.linalg.inv(nu.covariance), nu.value)
     shares = []
     for total, dof in [(nees[0], 3), (nees[1], 3), (nees[2], 3), (nees[3], 6), (nis, 6)]:
