@@ -12,7 +12,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.indirect_kf import MINIMUM_STD, SNAPSHOT_INTERVAL_S, noise_model, require_gnss
+from estimators.aiding.gnss import MINIMUM_STD, require_gnss
+from estimators.blocks.imu import noise_model
+from estimators.core.composition import SNAPSHOT_INTERVAL_S
 from testbed.errors import InputError
 from testbed.records import STATE_NAMES, Innovations, NavSolution, SensorLog
 

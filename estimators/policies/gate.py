@@ -43,4 +43,8 @@ def judge(memory, residual, s, r, h, p):
     return 1.0 if normalised_square(residual, s) < memory[0] else 0.0
 
 
-add_policy(Policy("gate", judge, threshold, "chi-square test of the whole innovation; gate: probability that a good one passes"))
+add_policy(
+    Policy(
+        "gate", judge, threshold, "chi-square test of the whole innovation; gate: probability that a good one passes"
+    )
+)
