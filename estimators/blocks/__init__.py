@@ -68,16 +68,6 @@ def add_block(block: Block) -> Block:
     return block
 
 
-def find_block(name: str) -> Block:
-    """The block of this name. Raises InputError with the nearest name."""
-    from estimators.blocks import imu, sensors
-
-    assert imu and sensors
-    if name not in BLOCKS:
-        raise InputError(f"no block of states is called '{name}'; {nearest(name, BLOCKS)}")
-    return BLOCKS[name]
-
-
 def per_axis(pattern: str, axes: Any = "xyz") -> tuple[str, ...]:
     """Names of states by axis."""
     return tuple(pattern.format(axis) for axis in axes)

@@ -13,16 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.aiding import Aiding, Measurements, find_aiding
-from estimators.blocks import Block, find_block
+from estimators.aiding import Aiding, Measurements
+from estimators.blocks import Block
 from estimators.blocks.imu import white_density
 from estimators.core import calls
 from estimators.core.calls import address
 from estimators.core.filter import AUX, INVARIANT, PHI, REJECTED, Blocks, Events, Inputs, Model, Recording, Work
 from estimators.core.lanes import WIDTH, aligned
+from estimators.core.parts import find_aiding, find_block, find_policy
 from estimators.core.propagate import NAV, Coupling, make_covariance, make_covariances
 from estimators.core.timeline import Timeline, make_timeline, walk
-from estimators.policies import Policy, chosen_policy
+from estimators.policies import Policy
 from testbed.errors import InputError, nearest
 from testbed.records import ACCEL_BIAS_STATES, GYRO_BIAS_STATES, NAVIGATION_STATES, Innovations, NavSolution, SensorLog
 
@@ -68,7 +69,7 @@ class Composition:
                 if name not in self.aiding:
                     raise InputError(f"policy: '{name}' is no aiding of this filter; {nearest(name, self.aiding)}")
             setting = setting.get(aiding.name, "plain")
-        return chosen_policy(setting)
+        return find_policy(setting)
 
     def policy_memory(self, aiding: Aiding) -> Array:
         """What an aiding's policy starts with. Raises InputError for options that it does not take."""
