@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.errors import InputError, nearest
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, int]

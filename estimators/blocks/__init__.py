@@ -16,7 +16,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.errors import InputError, nearest
 from testbed.records import SensorLog
 
 Array = NDArray[np.float64]

@@ -8,14 +8,14 @@ more to multiply P by that factor first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.errors import InputError, nearest
+from testbed.errors import InputError
 
 Array = NDArray[np.float64]
 
