@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-
 Array = NDArray[np.float64]
 Columns = Mapping[str, int]
 """First column in ``h`` of each block that the filter carries."""
