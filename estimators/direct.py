@@ -12,9 +12,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.indirect_kf import MINIMUM_STD, SNAPSHOT_INTERVAL_S, noise_model, require_gnss
+from estimators.aiding.gnss import MINIMUM_STD, require_gnss
+from estimators.blocks.imu import noise_model
+from estimators.core.composition import SNAPSHOT_INTERVAL_S
 from testbed.errors import InputError
-from testbed.records import Innovations, NavSolution, SensorLog
+from testbed.records import STATE_NAMES, Innovations, NavSolution, SensorLog
 
 Array = NDArray[np.float64]
 MEASUREMENTS = 6
@@ -209,11 +211,14 @@ class DirectProblem:
             std=np.sqrt(np.where(variances >= 0.0, variances, np.nan)) * stretch,
             covariance_t=self.t[rows],
             covariance=_to_rotation_vector(snapshots, states[rows], stretch[rows]),
-            innovations=Innovations(
-                self.gnss_t[:used],
-                residuals[:used] * to_metres,
-                covariances[:used] * to_metres[:, :, None] * to_metres[:, None, :],
-            ),
+            innovations={
+                "gnss": Innovations(
+                    self.gnss_t[:used],
+                    residuals[:used] * to_metres,
+                    covariances[:used] * to_metres[:, :, None] * to_metres[:, None, :],
+                )
+            },
+            states=STATE_NAMES,
             extras=extras,
         )
 

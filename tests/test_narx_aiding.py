@@ -71,7 +71,7 @@ def test_a_copy_run_in_stretches_is_the_filter_run_at_once(log, kind):
     np.testing.assert_allclose(parts.h, whole.h, atol=1e-4)
     np.testing.assert_allclose(parts.v_n, whole.v_n, atol=1e-4)
     np.testing.assert_allclose(parts.covariance, whole.covariance, rtol=1e-3, atol=1e-9)
-    np.testing.assert_allclose(parts.innovations.value, whole.innovations.value, atol=1e-3)
+    np.testing.assert_allclose(parts.innovations["gnss"].value, whole.innovations["gnss"].value, atol=1e-3)
 
 
 def test_a_second_copy_starts_where_the_first_is_and_leaves_it_alone(log):
