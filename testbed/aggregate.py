@@ -68,7 +68,8 @@ def aggregate(store: Store, scenario: Scenario, runs: Sequence[int], times: Arra
     store.forget(["claims-timings.csv"])
     written = [*(f"{name}.csv" for name in CSV_TABLES), "metrics.parquet", "runs.parquet", "envelopes.parquet"]
     store.claim([*written, *SCRATCH])
-    values, series = (ColumnStore(store.out / name, kind) for name, kind in zip(SCRATCH, (np.float64, np.float32)))
+    values = ColumnStore(store.out / SCRATCH[0])
+    series = ColumnStore(store.out / SCRATCH[1], np.float32)
     try:
         gathered = _gather(store, scenario, runs, values, series, len(times))
         with warnings.catch_warnings():
