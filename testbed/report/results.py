@@ -161,7 +161,7 @@ class Result:
         count = sum(str(c).startswith("nu_") for c in self.innovations[label])
         given = self.info.get("innovations", {}).get(label)
         return (
-            [str(name) for name in given]
+            [str(name) for name in given[:count]]
             if given and len(given) >= count
             else [f"channel {k + 1}" for k in range(count)]
         )
