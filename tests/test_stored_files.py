@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from multiprocessing import get_context
 
@@ -215,10 +218,13 @@ def test_damaged_results_are_refused_by_name(tmp_path_factory, name, content):
     before = sorted(folder.rglob("*"))
     with pytest.raises(InputError, match=r"r(/|: no result)"):
         render(folder, svg=False)
-    try:
-        compare_results(whole, folder)
-    except InputError as error:
-        assert str(folder) in str(error)
+    if (
+        name != "findings.md"
+        and not name.startswith(("details", "summary"))
+        and content != b"scenario = 1\nestimators = 2"
+    ):
+        with pytest.raises(InputError, match=r"r(/|: no result)"):
+            compare_results(whole, folder)
     assert sorted(folder.rglob("*")) == before
 
 
@@ -236,3 +242,33 @@ def test_out_may_be_the_current_folder_or_a_link(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="is a link that leads nowhere"), commands.fresh_folder(tmp_path / "nowhere"):
         pass
     assert sorted(os.listdir(tmp_path)) == ["here", "link", "nowhere", "target"]
+
+
+@pytest.mark.parametrize("shell", ["{} >&-", "PYTHONIOENCODING=ascii {}", "{} 2>&- | head -c 1"])
+def test_any_stdout_will_do(tmp_path, shell):
+    """Closed, ASCII only, or gone: no traceback."""
+    command = f"{sys.executable} -m testbed.cli list manoeuvres"
+    done = subprocess.run(["sh", "-c", shell.format(command)], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode in (0, 1) and "Traceback" not in done.stderr and "Exception" not in done.stderr
+
+
+def test_names_that_are_no_text_can_be_printed(tmp_path):
+    name = os.fsdecode(b"caf\xe9")
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "mine").touch()
+    command = [sys.executable, "-m", "testbed.cli", "fly", "quickstart", "--out", name]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2 and "Traceback" not in done.stderr and "caf" in done.stderr
+
+
+def _half(out):
+    with commands.fresh_folder(out) as scratch:
+        (scratch / "half").write_text("half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_leaves_no_half_folder(tmp_path):
+    """What `fly`, `sense` and `import` write appears at once or not at all."""
+    with pytest.raises(TestbedError, match=r"new: the disk is full"):
+        _half(tmp_path / "new")
+    assert os.listdir(tmp_path) == []
