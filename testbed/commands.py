@@ -291,8 +291,7 @@ def report(folders: list[Path], out: Path) -> None:
     from testbed.tuning.report import write_report
     from testbed.tuning.tune import read_manifest
 
-    if len(folders) > 1:
-        check_place(out)
+    check_place(out)
     for folder in folders:
         if not (folder / "manifest.json").is_file():
             raise InputError(f"{folder}: no result of 'testbed run' or 'testbed tune' (it has no manifest.json)")

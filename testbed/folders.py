@@ -92,7 +92,15 @@ class Folder:
             raise
         folder = cls(out, manifest if manifest is not None else {"kind": kind, "files": {}})
         folder._lock = lock
+        folder._tidy(folder.files)
         return folder
+
+    def _tidy(self, names: Iterable[str]) -> None:
+        """Remove what a kill left beside the bench's own files of these names, and of the manifest."""
+        own = {self.out / name for name in (*names, MANIFEST)}
+        for place in {path.parent for path in own}:
+            if place.is_dir():
+                remove([p for p in place.iterdir() if (base := left_over(p)) and place / base in own], self.again)
 
     @property
     def files(self) -> dict[str, str | None]:
@@ -136,14 +144,11 @@ class Folder:
 
     def delete(self, names: Iterable[str]) -> None:
         """Delete the bench's own files of these names, what a kill left of them, and folders that are empty then."""
-        paths = [self.out / name for name in names if name in self.files]
+        names = [name for name in names if name in self.files]
+        paths = [self.out / name for name in names]
         remove(paths, self.again)
+        self._tidy(names)
         folders = {path.parent for path in paths}
-        own = set(paths)
-        for folder in folders:
-            if folder.is_dir():
-                beside = [p for p in folder.iterdir() if (base := left_over(p)) and folder / base in own]
-                remove(beside, self.again)
         for folder in sorted(folders - {self.out}, key=lambda p: -len(p.parts)):
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()

@@ -135,6 +135,8 @@ class Store(Folder):
         try:
             if not resume or previous is None:
                 store._begin(identity, scenario_toml)
+            elif not (store.out / "scenario.toml").is_file():  # killed, or the disk full, just after the manifest
+                store.write_all({"scenario.toml": scenario_toml.encode()})
         except BaseException:
             store.close()
             raise
