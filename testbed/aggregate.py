@@ -15,10 +15,11 @@ import numpy as np
 import pandas as pd
 
 from testbed import claims, statistics
+from testbed.files import writing
 from testbed.records import Array
 from testbed.scenario import Scenario
 from testbed.scoring.quantities import AXES, IMPROVED, NEES, NIS, TIME_METRIC, is_consistency
-from testbed.store import ColumnStore, Store, StoredRun, decode, writing
+from testbed.store import SCRATCH, ColumnStore, Store, StoredRun, decode
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -62,8 +63,11 @@ class _Pass:
 
 def aggregate(store: Store, scenario: Scenario, runs: Sequence[int], times: Array) -> Tables:
     """Write every table of the result. ``times`` are those of the envelopes."""
-    scratch = store.out / ".scratch"
-    values, series = ColumnStore(scratch / "values"), ColumnStore(scratch / "series", np.float32)
+    store.forget(["claims-timings.csv"])
+    written = [*(f"{name}.csv" for name in CSV_TABLES), "metrics.parquet", "runs.parquet", "envelopes.parquet"]
+    store.claim([*written, *SCRATCH])
+    values = ColumnStore(store.out / SCRATCH[0])
+    series = ColumnStore(store.out / SCRATCH[1], np.float32)
     try:
         gathered = _gather(store, scenario, runs, values, series, len(times))
         with warnings.catch_warnings():
@@ -80,7 +84,7 @@ def aggregate(store: Store, scenario: Scenario, runs: Sequence[int], times: Arra
     finally:
         values.close()
         series.close()
-        scratch.rmdir()
+        store.forget(SCRATCH)
     return tables
 
 
@@ -99,7 +103,7 @@ def claim_values(store: Store, runs: Iterable[int], wanted: Iterable[Cell]) -> d
     cells = list(dict.fromkeys(wanted))
     columns: dict[Cell, list[float]] = {cell: [] for cell in cells}
     for run in runs:
-        stored = decode(store.run_path(run))
+        stored = decode(store.run_path(run), store.batch, run)
         found = dict(zip(_cells_of(stored), stored.values.tolist(), strict=True)) | _time_cells(stored)
         for cell in cells:
             columns[cell].append(found.get(cell, np.nan))
@@ -128,12 +132,12 @@ def _gather(
     out = _Pass(points=points)
     text = [(name, pa.string()) for name in ("estimator", "window", "metric")]
     schema = pa.schema([("run", pa.int64()), *text, ("value", pa.float64())])
-    temporary = store.out / ".scratch" / "metrics.parquet"
-    with writing(store.out):
+    temporary = store.out / SCRATCH[2]
+    with writing(store.out, store.again):
         with pq.ParquetWriter(temporary, schema) as writer:
             batch: list[pa.Table] = []
             for k, run in enumerate(runs, 1):
-                stored = decode(store.run_path(run))
+                stored = decode(store.run_path(run), store.batch, run)
                 _take(stored, out, values, series)
                 columns = [pa.array(np.full(len(stored.values), run)), *stored.keys.columns, pa.array(stored.values)]
                 batch.append(pa.table(columns, schema=schema))
@@ -141,6 +145,7 @@ def _gather(
                     writer.write_table(pa.concat_tables(batch).combine_chunks())
                     batch = []
         temporary.replace(store.out / "metrics.parquet")
+    store.finish("metrics.parquet")
     return out
 
 

@@ -47,13 +47,20 @@ PluginOption = Annotated[list[Path] | None, typer.Option("--plugin", help="Pytho
 SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed in place of the scenario's.")]
 _PATH_KEY = re.compile(r"recording\.dir|sensors\.\w+\.file|estimators\.\d+\.params_file")
 """Settings that are paths: on the command line they start from the current folder, in a scenario file from its own."""
-OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for the results.")]
+OutOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", help="Folder for the results: new, empty, or of the same verb. What the bench did not write is kept."
+    ),
+]
 
 
 def main() -> None:
     """Entry point of the command ``testbed``."""
     from testbed.errors import TestbedError
+    from testbed.screen import usable_streams
 
+    usable_streams()
     try:
         app()
     except TestbedError as error:

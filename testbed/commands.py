@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from testbed.completion import LISTS
 from testbed.errors import OWN, InputError, TestbedError, nearest
+from testbed.files import check_place, writing
+from testbed.folders import Folder, check_own
 from testbed.screen import print_claims, print_failures, print_summary, progress_line, tell_user
 
 if TYPE_CHECKING:
@@ -42,13 +44,14 @@ def run(
     """
     import testbed.runner
     from testbed.report import preload, render
+    from testbed.store import KIND as RESULT
 
     scenario = _choose_estimators(load({}), estimators)
     unused = [name for name in offered if name not in {entry.name for entry in scenario.estimators}]
     if unused and estimators is None:
         tell_user(f"no row of {scenario.name} uses {', '.join(unused)}: add --estimators +{',+'.join(unused)}")
     folder = out or Path("results") / scenario.name
-    check_place(folder)
+    check_own(folder, "testbed sweep" if sweep else RESULT)
     count = testbed.runner.Auto(width, cap) if runs == "auto" else _run_count(runs)
     if sweep:
         _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=count, **options)
@@ -153,13 +156,6 @@ def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
     return scenario.model_copy(update={"estimators": chosen, "claims": claims})
 
 
-def check_place(out: Path) -> None:
-    """Raise InputError where no folder ``out`` can be."""
-    place = next((p for p in (out, *out.parents) if p.exists()), out)
-    if place.exists() and not place.is_dir():
-        raise InputError(f"{place}: is a file, not a folder for results; give another --out")
-
-
 def check_free(out: Path) -> None:
     """Raise InputError where ``out`` is anything but a folder that can be made, or an empty one."""
     check_place(out)
@@ -171,17 +167,23 @@ def check_free(out: Path) -> None:
 def fresh_folder(out: Path) -> Iterator[Path]:
     """A temporary folder that takes the place of ``out`` at the end; on an error nothing half-written remains."""
     check_free(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    try:
-        yield scratch
-        scratch.chmod(0o777 & ~_umask())
-        if out.exists():
-            out.rmdir()
-        os.replace(scratch, out)
-    except BaseException:
-        shutil.rmtree(scratch, ignore_errors=True)
-        raise
+    place = out.resolve()  # a link is followed, and . has a name
+    with writing(out):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{place.name}-", dir=place.parent))
+        try:
+            yield scratch
+            check_free(out)  # somebody else may have been quicker
+            if place.exists():  # stays, and so does who stands in it
+                for path in sorted(scratch.iterdir()):
+                    path.rename(place / path.name)
+                scratch.rmdir()
+            else:
+                scratch.chmod(0o777 & ~_umask())
+                scratch.rename(place)
+        except BaseException:
+            shutil.rmtree(scratch, ignore_errors=True)
+            raise
 
 
 def _umask() -> int:
@@ -230,7 +232,7 @@ def allan(log: Path, out: Path | None) -> None:
     from testbed.sensors import allan as analysis
 
     folder = out or Path("results") / "allan"
-    check_place(folder)
+    check_own(folder, "testbed allan")
     read = SensorLog.load(log / "log" if (log / "log" / "imu.parquet").is_file() else log)
     table = analysis.analyse(read)
     if (spread := math.degrees(read.imu.gyro.std(axis=0).max())) > MOVING_DPS:
@@ -238,9 +240,12 @@ def allan(log: Path, out: Path | None) -> None:
             f"{log}: the gyros vary by {spread:.2g} °/s, so it was not at rest; the figures are those of the motion"
         )
     print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
-    folder.mkdir(parents=True, exist_ok=True)
-    table.to_csv(folder / "allan.csv", index=False)
-    analysis.plot(read, folder / "allan.png")
+    with Folder.open(folder, "testbed allan") as own:
+        own.claim(["allan.csv", "allan.png"])
+        own.write("allan.csv", table.to_csv(index=False).encode())
+        analysis.plot(read, folder / "allan.png")
+        own.finish("allan.png")
+        own.save()
     print(f"plot: {folder / 'allan.png'}")
 
 

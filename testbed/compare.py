@@ -17,7 +17,7 @@ import numpy as np
 from testbed.errors import InputError
 from testbed.records import Array
 from testbed.statistics import difference_interval, signed_rank
-from testbed.store import Store, open_result
+from testbed.store import Store, open_result, read_part
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,6 +28,7 @@ SMALLEST_PCT = 0.1
 LOST = "lost_runs"
 """The compared share of runs that did not end ``ok``."""
 MISSING = "missing"
+METRICS = ("run", "estimator", "window", "metric", "value")
 COLUMNS = "estimator window metric old new change_pct ci_low ci_high p_value verdict".split()
 
 
@@ -47,6 +48,9 @@ def compare_all(old: str | Path, new: str | Path, smallest_pct: float = SMALLEST
     import pandas as pd
 
     stores = open_result(old), open_result(new)
+    for store in stores:
+        if not store.manifest.get("finished"):
+            raise InputError(f"{store.out}: is not finished; complete it with the same testbed run and --resume")
     names = [store.manifest.get("scenario") for store in stores]
     if names[0] != names[1]:
         raise InputError(
@@ -106,8 +110,11 @@ def _values(store: Store) -> dict[tuple[str, str, str], pd.Series]:
     import pyarrow.dataset as ds
 
     rmse = pc.starts_with(ds.field("metric"), "rmse_")
-    frame = ds.dataset(store.out / "metrics.parquet").to_table(filter=rmse).to_pandas()
-    runs = pd.read_parquet(store.out / "runs.parquet")
+    frame = read_part(store, "metrics.parquet", lambda path: ds.dataset(path).to_table(filter=rmse).to_pandas())
+    runs = read_part(store, "runs.parquet", pd.read_parquet)
+    for name, table, needed in (("metrics", frame, METRICS), ("runs", runs, ("run", "estimator", "status"))):
+        if lacking := [column for column in needed if column not in table]:
+            raise InputError(f"{store.out / name}.parquet: damaged (it has no column '{lacking[0]}')")
     lost = runs.assign(window="all", metric=LOST, value=(runs["status"] != "ok").astype(float))
     both = pd.concat([frame, lost[frame.columns]], ignore_index=True)
     return {
@@ -120,8 +127,10 @@ def _same_data(old: Store, new: Store) -> bool:
     """Whether run k of both saw the same sensor data: same flight or recording, sensors, alignment, seed and variation."""
 
     def data(store: Store) -> dict[str, Any]:
-        scenario = tomllib.loads((store.out / "scenario.toml").read_text(encoding="utf-8"))
+        scenario = read_part(store, "scenario.toml", lambda path: tomllib.loads(path.read_text(encoding="utf-8")))
         settings = scenario.get("monte_carlo", {})
+        if not isinstance(settings, dict):
+            raise InputError(f"{store.out / 'scenario.toml'}: damaged ('monte_carlo' is no section)")
         drawn = {key: settings.get(key) for key in ("seed", "vary", "disperse")}
         return {key: scenario.get(key) for key in ("flight", "recording", "sensors", "initial")} | drawn
 

@@ -88,11 +88,14 @@ class Trajectory:
         table |= columns("gyro_{}_radps", "xyz", self.w_ib_b) | columns("accel_{}_mps2", "xyz", self.f_b)
         return pd.DataFrame(table | dict(self.extra))
 
-    def save(self, path: str | Path) -> None:
-        """Write Parquet. Quaternions and radians are stored beside the degrees so that loading is exact."""
+    def save(self, path: str | Path, **header: str) -> None:
+        """Write Parquet. Quaternions and radians are stored beside the degrees so that loading is exact.
+
+        ``header``: further entries of the file's header, such as what a cache knows the flight by.
+        """
         frame = self.to_frame().assign(**exact_columns(self.lat, self.lon, self.q_nb))
         meta = {"name": self.name, "phases": [[p.name, p.start, p.end] for p in self.phases], "extra": list(self.extra)}
-        write_table(frame, path, "Trajectory", meta)
+        write_table(frame, path, "Trajectory", meta | header)
 
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:

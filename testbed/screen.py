@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,6 +22,19 @@ TABLE_METRICS = {
     for metric in COMPARED
     if metric.startswith("rmse_") and metric not in LEFT_OUT
 }
+
+
+def usable_streams() -> None:
+    """Make stdout and stderr take any text: closed ones swallow it, characters beyond their encoding are escaped.
+
+    Names of files may hold bytes that are no text, and a terminal may know ASCII only.
+    """
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def tell_user(text: str) -> None:

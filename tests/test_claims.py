@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 
@@ -12,6 +11,7 @@ import pandas as pd
 import pytest
 
 from testbed import commands, pipeline, runner
+from testbed.checksums import read_json, sealed_json
 from testbed.claims import verdict
 from testbed.compare import compare_all, compare_results, holm
 from testbed.errors import InputError
@@ -145,7 +145,7 @@ def test_comparison_tells_what_is_missing_and_refuses_another_scenario(tmp_path,
     told = capsys.readouterr().out
     assert re.search(r"missing in .*one: \d+ metrics of b \(all\)", told) and "nan" not in told.lower()
     assert commands.compare(one, both) == 0
-    manifest = json.loads((one / "manifest.json").read_text())
-    (one / "manifest.json").write_text(json.dumps(manifest | {"scenario": "another"}))
+    manifest = read_json(one / "manifest.json")
+    (one / "manifest.json").write_bytes(sealed_json(manifest | {"scenario": "another"}))
     with pytest.raises(InputError, match="only results of one scenario compare"):
         commands.compare(both, one)

@@ -27,11 +27,10 @@ def fly_flight(config: FlightConfig, seed: int = 0, use_cache: bool = True) -> T
     path = cache.path_of(config, folder, seed)
     if use_cache and (trajectory := cache.load(path)) is not None:
         return trajectory
-    if not use_cache:
-        return _fly(config, aircraft, folder, seed)
-    # what the file gives back differs in the last bit of an angle: the first use must not differ from the later ones
-    cache.store(_fly(config, aircraft, folder, seed), path)
-    return cache.load(path) or _fly(config, aircraft, folder, seed)
+    trajectory = _fly(config, aircraft, folder, seed)
+    if use_cache:
+        cache.store(trajectory, path)
+    return trajectory
 
 
 def _fly(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> Trajectory:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from testbed.files import write_with
 from testbed.report import geometry, innovations
 from testbed.report.headline import headline
 from testbed.report.labels import COLOURS, component_label
@@ -319,9 +320,10 @@ def save(drawing: Drawing, path: Path, svg: bool = True) -> None:
 
     with matplotlib.rc_context(STYLE):
         figure = drawing.draw()
-        figure.savefig(path, dpi=DPI, metadata={"Software": None})
+        write_with(path, partial(figure.savefig, format="png", dpi=DPI, metadata={"Software": None}))
         if svg:
-            figure.savefig(path.with_suffix(".svg"), metadata={"Date": None, "Creator": None})
+            plain = {"Date": None, "Creator": None}
+            write_with(path.with_suffix(".svg"), partial(figure.savefig, format="svg", metadata=plain))
 
 
 def _figure(height: float) -> Figure:

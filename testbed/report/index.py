@@ -5,7 +5,6 @@ Source: the result folders themselves. Links are relative to the index.
 
 from __future__ import annotations
 
-import json
 import os
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -13,6 +12,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from testbed.checksums import read_json
+from testbed.errors import InputError
+from testbed.folders import MANIFEST, Folder, check_own
 from testbed.report import html
 from testbed.report.headline import headline
 from testbed.report.labels import verdict_kind
@@ -42,10 +44,10 @@ class Entry:
         return ", ".join(f"{self.verdicts[kind]} {word}" for kind, word in KINDS.items() if self.verdicts[kind])
 
 
-def write_index(dirs: list[Path], out: Path) -> Path:
-    """Write the page and its Markdown twin; return the page's path."""
+def write_index(dirs: list[Path], out: Path, replace_others: bool = False) -> Path:
+    """Write the page and its Markdown twin; return the page's path. ``replace_others``: also what the bench did not write."""
     page = out if out.suffix == ".html" else out / "index.html"
-    page.parent.mkdir(parents=True, exist_ok=True)
+    check_own(page.parent, KIND, among=True)
     reports = [_entry(folder, page.parent) for folder in dirs]
     totals = {kind: sum(report.verdicts[kind] for report in reports) for kind in KINDS}
     entries = _rows(reports)
@@ -53,8 +55,10 @@ def write_index(dirs: list[Path], out: Path) -> Path:
     text = html.template("index.html.j2").render(
         style=html.asset("report.css"), script=html.asset("index.js"), **values
     )
-    page.write_text(text, encoding="utf-8")
-    page.with_suffix(".md").write_text(_markdown(entries), encoding="utf-8")
+    with Folder.open(page.parent, KIND, among=True) as folder:
+        if replace_others:
+            folder.files.update(dict.fromkeys((page.name, page.with_suffix(".md").name)))
+        folder.write_all({page.name: text.encode(), page.with_suffix(".md").name: _markdown(entries).encode()})
     return page
 
 
@@ -70,6 +74,7 @@ def _rows(reports: list[Entry]) -> list[Entry]:
     return rows
 
 
+KIND = "testbed index"
 ENTRY = "report.json"
 """Of a folder with a report: what the index shows of it, for a page that travels without its runs."""
 
@@ -90,7 +95,13 @@ def entry_of(result: Result) -> dict[str, Any]:
 def _entry(folder: Path, start: Path) -> Entry:
     """The entry of a folder with a report. Raises InputError where there is neither a report nor a result."""
     if (folder / ENTRY).is_file() and not (folder / "metrics.parquet").is_file():
-        told = json.loads((folder / ENTRY).read_text(encoding="utf-8"))
+        if (folder / MANIFEST).is_file():
+            Folder(folder, read_json(folder / MANIFEST)).check(ENTRY)
+        told = read_json(folder / ENTRY)
+        needed = {"title": str, "source": str, "sentence": str, "runs": int, "verdicts": list}
+        for key, kind in needed.items():
+            if not isinstance(told.get(key), kind):
+                raise InputError(f"{folder / ENTRY}: damaged ('{key}' is not what a report leaves there)")
     else:
         told = entry_of(load_result(folder))
     link = quote(Path(os.path.relpath(folder / "report.html", start)).as_posix())

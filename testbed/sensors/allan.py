@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from testbed.errors import InputError
+from testbed.files import write_with
 from testbed.records import Array, SensorLog
 from testbed.sensors.allan_fit import Curve, Figures, fit_allan, markov_shape
 from testbed.specs import GAUSS_MARKOV_PEAK, TriadSpec
@@ -155,7 +157,7 @@ def plot(log: SensorLog, path: str | Path) -> None:
         )
         axes.grid(True, which="both", lw=0.3)
         axes.legend(fontsize=7)
-    figure.savefig(path, dpi=80)
+    write_with(Path(path), partial(figure.savefig, format="png", dpi=80))
 
 
 def _draw_fit(axes: Any, tau: Array, fit: Figures, factor: float) -> None:

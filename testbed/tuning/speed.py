@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed.errors import InputError
+from testbed.files import write_atomic
 from testbed.registry import estimator_class, fast_path, make_estimator
 from testbed.scenario import Scenario
-from testbed.store import write_atomic
 from testbed.tuning.config import tune_config, tuned_entry
 from testbed.tuning.objective import Objective, Task, record, scenario_space
 
