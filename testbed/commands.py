@@ -114,9 +114,12 @@ def _sweep(load: Callable[[Mapping[str, Any]], Scenario], grid: list[str], folde
 def _run_count(runs: str | None) -> int | None:
     if runs is None:
         return None
-    if not runs.isdigit() or int(runs) < 1:
+    from testbed.scenario import MonteCarloConfig, position_of
+    from testbed.schema import validate
+
+    if not (count := position_of(runs)):
         raise InputError(f"--runs {runs}: expected a number of runs from 1, or 'auto'")
-    return int(runs)
+    return validate(MonteCarloConfig, {"runs": count}, "--runs").runs
 
 
 def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
@@ -127,7 +130,7 @@ def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
     if names is None:
         return scenario
     from testbed.registry import list_estimators
-    from testbed.scenario import EstimatorConfig
+    from testbed.scenario import EstimatorConfig, position_of
 
     rows = {entry.row: entry for entry in scenario.estimators}
     wanted = list(dict.fromkeys(part.strip() for part in names.split(",") if part.strip()))
@@ -145,7 +148,7 @@ def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
         raise InputError("--estimators: name at least one")
     kept = {entry.row for entry in chosen}
     for place in [key.split(".")[1] for key in scenario.settings if key.startswith("estimators.")]:
-        row = scenario.estimators[int(place)].row if place.isdigit() else place
+        row = place if (number := position_of(place)) is None else scenario.estimators[number].row
         if row not in kept and row not in {entry.name for entry in chosen}:
             raise InputError(f"'estimators.{place}' is set, but --estimators leaves '{row}' out")
     claims = [claim for claim in scenario.claims if {claim.better, claim.than} <= kept]

@@ -15,7 +15,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
-from testbed.errors import OWN, InputError, nearest
+from testbed.errors import OWN, InputError, nearest, shown
 from testbed.records import NavSolution, SensorLog, Trajectory
 
 GROUP = "testbed.estimators"
@@ -86,7 +86,7 @@ def _check_kinds(name: str, kind: type, params: Mapping[str, Any]) -> None:
         number = not isinstance(usual, bool | str)
         if isinstance(given, str | bool) if number else not isinstance(given, type(usual)):
             what = "a number" if number else "a text" if isinstance(usual, str) else "true or false"
-            raise InputError(f"estimator '{name}': '{key}' should be {what} like {usual!r}, got {given!r}")
+            raise InputError(f"estimator '{name}': '{key}' should be {what} like {usual!r}, got {shown(given)}")
 
 
 def parameter_names(kind: type) -> list[str] | None:

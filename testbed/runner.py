@@ -18,7 +18,7 @@ import testbed
 from testbed import executors, pipeline
 from testbed.errors import InputError, TestbedError, nearest
 from testbed.records import Trajectory
-from testbed.scenario import Scenario
+from testbed.scenario import LONGEST_TIMEOUT_S, Scenario
 from testbed.store import Store, files_digest
 from testbed.units import Setup, envelope_times
 
@@ -135,8 +135,8 @@ def plan(
     scenario = with_settings(scenario, runs if isinstance(runs, int) else None, seed, estimators)
     if isinstance(runs, Auto) and not scenario.active_claims():
         raise InputError(f"{scenario.name}: --runs auto watches the intervals of claims, but the scenario has none")
-    if timeout is not None and timeout <= 0:
-        raise InputError(f"--timeout {timeout:g}: must be above 0 s")
+    if timeout is not None and not 0 < timeout <= LONGEST_TIMEOUT_S:
+        raise InputError(f"--timeout {timeout:g}: must be above 0 s and at most {LONGEST_TIMEOUT_S:g} s")
     return Setup(scenario, tuple(str(Path(p).resolve()) for p in plugins), timeout)
 
 

@@ -7,15 +7,16 @@ Each point is a result folder of its own, so a sweep resumes as its points do. `
 from __future__ import annotations
 
 import itertools
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from testbed.csv_text import csv_text
 from testbed.errors import InputError
 from testbed.runner import plan, prepare, run
 from testbed.scenario import Scenario
+from testbed.schema import parse_toml
 from testbed.store import read_manifest
 
 if TYPE_CHECKING:
@@ -30,8 +31,8 @@ def parse_sweep(text: str) -> tuple[str, list[Any]]:
     if not separator or not key.strip() or not values.strip():
         raise InputError(f"--sweep {text}: expected KEY=V1,V2,..., for example sensors.imu.rate_hz=50,100,200")
     try:
-        parsed = tomllib.loads(f"value = [{values}]")["value"]
-    except tomllib.TOMLDecodeError:
+        parsed = parse_toml(f"value = [{values}]", "--sweep")["value"]
+    except InputError:
         parsed = [value.strip() for value in values.split(",")]
     return key.strip(), parsed
 
@@ -74,7 +75,8 @@ def sweep(
         settings = {key: [_cell(value)] * len(summary) for key, value in point.items()}
         frames.append(pd.concat([pd.DataFrame(settings), summary], axis=1))
     table = pd.concat(frames, ignore_index=True)
-    table.to_csv(out / "sweep.csv", index=False, float_format="%.10g", lineterminator="\n")
+    written = csv_text(table, float_format="%.10g", lineterminator="\n")
+    (out / "sweep.csv").write_text(written, encoding="utf-8")
     plot(table, keys, out / "sweep.png", metric)
     return table
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from testbed.errors import InputError
 from testbed.flight.config import FlightConfig
+from testbed.flight.models import files_of
 from testbed.records import Trajectory
 from testbed.resources import cache_root
 
@@ -36,9 +37,9 @@ def path_of(config: FlightConfig, folder: Path, seed: int) -> Path:
 
 
 def content_of(folder: Path) -> bytes:
-    """Names and bytes of the files in an aircraft's folder, in one string."""
-    files = (file for file in sorted(folder.rglob("*")) if file.is_file())
-    return b"".join(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes() for file in files)
+    """Names and bytes of the files in an aircraft's folder, in one string. Raises InputError where it is none."""
+    names = ((os.fsencode(file.relative_to(folder).as_posix()), file) for file in files_of(folder))
+    return b"".join(name + b"\0" + file.read_bytes() for name, file in names)
 
 
 def load(path: Path) -> Trajectory | None:

@@ -29,6 +29,8 @@ from testbed.records import Phase
 
 STEP_RATE_MIN = 200.0
 """JSBSim steps at least this often: the aerosonde's roll mode has a time constant of 33 ms."""
+FEWEST_SAMPLES = 4
+"""The spline through the velocities needs as many knots (de Boor, chapter IV, not-a-knot ends)."""
 CONTROL_RATE = 50.0
 CONTROLS_PER_GUIDANCE = 5
 CONTROLS_PER_AIR_SAMPLE = 2
@@ -70,11 +72,16 @@ class Recording:
 def fly_script(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> Recording:
     """Fly the whole script. Raises FlightError that names manoeuvre and time."""
     check_script(config, aircraft)
-    substeps = math.ceil(STEP_RATE_MIN / config.rate_hz - 1e-9)
-    dt = 1.0 / (config.rate_hz * substeps)
+    dt, substeps = time_steps(config.rate_hz)
     pilot = _Pilot(config, aircraft, Simulator(config, aircraft, folder, dt, seed), dt, substeps)
     pilot.settle(config)
     return pilot.fly(config)
+
+
+def time_steps(rate_hz: float) -> tuple[float, int]:
+    """JSBSim's step (s), and the steps between two samples of the state."""
+    substeps = math.ceil(STEP_RATE_MIN / rate_hz - 1e-9)
+    return 1.0 / (rate_hz * substeps), substeps
 
 
 def script_duration(config: FlightConfig) -> float | None:
@@ -96,6 +103,11 @@ def steps_per_control(dt: float, substeps: int) -> int:
 def check_script(config: FlightConfig, aircraft: Aircraft) -> None:
     """Refuse what the aircraft cannot do before it takes off: speeds, banks, loads and climbs beyond its limits."""
     name, limits, speed = config.aircraft, aircraft.limits, config.initial.speed_mps
+    duration = script_duration(config)
+    if duration is not None and round(duration * config.rate_hz) + 1 < FEWEST_SAMPLES:
+        raise FlightError(
+            f"a flight of {duration:g} s at {config.rate_hz:g} Hz is too short: it needs {FEWEST_SAMPLES} samples"
+        )
     _check_speed("initial", name, aircraft, speed)
     for number, m in enumerate(config.manoeuvres, 1):
         place = f"manoeuvre {number} of {len(config.manoeuvres)} ({m.type})"

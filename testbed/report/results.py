@@ -16,6 +16,7 @@ from typing import Any
 
 import pandas as pd
 
+from testbed.csv_text import read_csv
 from testbed.errors import InputError
 
 CSV_COLUMNS = {
@@ -162,7 +163,7 @@ def thin(frame: pd.DataFrame, points: int) -> pd.DataFrame:
 def _read(path: Path, columns: str) -> pd.DataFrame:
     if not path.exists():
         return pd.DataFrame(columns=columns.split())
-    frame = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
+    frame = read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
     return frame.reindex(columns=[*frame.columns, *(c for c in columns.split() if c not in frame.columns)])
 
 

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from testbed.csv_text import read_csv
 from testbed.errors import InputError
 
 if TYPE_CHECKING:
@@ -56,9 +57,8 @@ def tune(
 
 def print_study(folder: Path) -> None:
     """The held-out table on screen."""
-    import pandas as pd
 
-    table = pd.read_csv(folder / "heldout.csv").sort_values("test", kind="stable")
+    table = read_csv(folder / "heldout.csv").sort_values("test", kind="stable")
     print("objective on the runs of the search (train) and on unseen ones (test); improvement over the data sheet in %")
     print(table.to_string(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from testbed.csv_text import csv_text, read_csv
 from testbed.errors import InputError
 from testbed.scenario import Scenario, load_scenario
 from testbed.schema import read_toml, validate
@@ -33,7 +34,6 @@ class Study:
     """A finished study as read from its folder."""
 
     def __init__(self, folder: Path) -> None:
-        import pandas as pd
 
         manifest = read_manifest(folder)
         if manifest is None:
@@ -44,8 +44,7 @@ class Study:
         self.config: TuneConfig = validate(TuneConfig, manifest["tune"], f"{folder}/manifest.json")
         self.scenario: Scenario = load_scenario(folder / "scenario.toml")
         read = {
-            name: pd.read_csv(folder / f"{name}.csv")
-            for name in ("searches", "history", "timings", "scores", "heldout")
+            name: read_csv(folder / f"{name}.csv") for name in ("searches", "history", "timings", "scores", "heldout")
         }
         self.searches, self.history, self.timings = read["searches"], read["history"], read["timings"]
         self.scores, self.heldout = read["scores"], read["heldout"]
@@ -75,7 +74,7 @@ def write_report(
         ("table4.csv", ranks.reset_index(names="algorithm")),
         ("heldout.csv", study.heldout),
     ):
-        write_atomic(target / name, table.to_csv(index=False, float_format="%.6g").encode())
+        write_atomic(target / name, csv_text(table, float_format="%.6g").encode())
     parts = [
         f"# {study.manifest['title'] or study.manifest['scenario']}\n",
         _what_was_run(study),
@@ -138,14 +137,13 @@ def write_functions(folder: str | Path, **settings: Any) -> Path:
 
     made = [benchmark_table(**{"seeds": SEEDS, "shift": shift} | settings).assign(shift=shift) for shift in (0.0, 0.3)]
     path = Path(folder) / "functions.csv"
-    write_atomic(path, pd.concat(made).to_csv(index=False, float_format="%.6g").encode())
+    write_atomic(path, csv_text(pd.concat(made), float_format="%.6g").encode())
     return path
 
 
 def _functions(path: Path) -> list[str]:
-    import pandas as pd
 
-    table = pd.read_csv(path)
+    table = read_csv(path)
     wide = table.pivot(index=["function", "shift"], columns="algorithm", values="median").reset_index()
     order = list(dict.fromkeys(table["algorithm"]))
     return [
@@ -157,13 +155,12 @@ def _functions(path: Path) -> list[str]:
 
 
 def _speed(path: Path) -> list[str]:
-    import pandas as pd
 
     return [
         "## What an evaluation costs\n",
         "Both filter runs of it, in s. ``busiest_thread_s`` is processor time: the wall time of a machine with nothing else to do. The last two"
         f" columns come from it; ``table_h`` is the paper's whole table of {TABLE_EVALUATIONS} evaluations, in hours.\n",
-        markdown(pd.read_csv(path)),
+        markdown(read_csv(path)),
     ]
 
 
@@ -193,7 +190,7 @@ def _several(study: Study, others: Sequence[Path], target: Path, figures: bool) 
         if other.config.test_runs != study.config.test_runs:
             raise InputError(f"{other.folder}: was scored on other unseen runs than {study.folder}")
     table = several_studies(studies)
-    write_atomic(target / "heldout-all.csv", table.to_csv(index=False, float_format="%.6g").encode())
+    write_atomic(target / "heldout-all.csv", csv_text(table, float_format="%.6g").encode())
     text = [
         "## Studies with other boxes and other training flights, on the same unseen runs\n",
         "``train`` is the mean over the flights of that study. In each study the best by ``test`` stands first.\n",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed import statistics
+from testbed.csv_text import csv_text
 from testbed.records import Array
 from testbed.scenario import Scenario
 from testbed.schema import read_toml
@@ -203,4 +204,4 @@ def rank_sums(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _write_csv(table: pd.DataFrame, path: Path) -> None:
-    write_atomic(path, table.to_csv(index=False, float_format="%.10g").encode())
+    write_atomic(path, csv_text(table, float_format="%.10g").encode())
