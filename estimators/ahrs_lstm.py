@@ -63,6 +63,7 @@ class AhrsLstm:
     weights: str = ""
     """A safetensors file; empty for the shipped one, ``untrained`` for a network that changes nothing."""
     name: ClassVar[str] = "ahrs-lstm"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "mag")
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError without magnetometer or weights."""

@@ -52,6 +52,7 @@ class IndirectKf:
     measurement_noise: tuple[float, ...] | None = None
 
     name: ClassVar[str] = "indirect-kf"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = dict.fromkeys(SCALES, (1e-3, 1e3, "log"))
     """What a tuner may search: name to (low, high, scale of the axis)."""
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from estimators.indirect_kf import MINIMUM_STD, noise_model, require_gnss
-from testbed.errors import InputError
+from testbed.errors import InputError, MissingExtra
 from testbed.records import NavSolution, SensorLog
 from testbed.rotations import eulers_to_quats, quats_to_eulers
 
@@ -34,6 +34,7 @@ class PyIns:
 
     time_step_s: float = 0.1
     name: ClassVar[str] = "pyins"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
 
     def __post_init__(self) -> None:
         if not 0.0 < self.time_step_s <= 1.0:
@@ -69,7 +70,7 @@ def _pyins() -> tuple[Any, Any, Any]:
     try:
         from pyins import filters, inertial_sensor, measurements
     except ImportError:
-        raise InputError("estimator 'pyins' needs the package python-ins: install the extra 'peers'") from None
+        raise MissingExtra("estimator 'pyins' needs the package python-ins: install the extra 'peers'") from None
     return filters, measurements, inertial_sensor
 
 

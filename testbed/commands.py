@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from testbed.completion import LISTS
-from testbed.errors import OWN, InputError, TestbedError, nearest
+from testbed.errors import OWN, InputError, MissingExtra, TestbedError, nearest
 from testbed.screen import print_claims, print_failures, print_summary, progress_line, tell_user
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def run(
     ``offered`` are the estimators that plug-ins brought.
     """
     import testbed.runner
+    from testbed.notes import notes_of
     from testbed.report import preload, render
 
     scenario = _choose_estimators(load({}), estimators)
@@ -53,6 +54,8 @@ def run(
     if sweep:
         _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=count, **options)
         return
+    for note in notes_of(scenario):
+        tell_user(f"note: {note}")
     _announce_compilation()
     if not options.get("resume") and (earlier := _stored_runs(folder)):
         tell_user(f"{folder} holds {earlier} runs of an earlier result, which this one replaces")
@@ -202,7 +205,10 @@ def fly(scenario: Scenario, out: Path | None) -> None:
     trajectory = pipeline.fly(scenario)
     with fresh_folder(folder) as scratch:
         for kind, suffix in (("parquet", "parquet"), ("csv", "csv"), ("kml", "kml"), ("navego", "mat")):
-            export_trajectory(trajectory, scratch / f"trajectory.{suffix}", kind)
+            try:
+                export_trajectory(trajectory, scratch / f"trajectory.{suffix}", kind)
+            except MissingExtra as missing:
+                tell_user(f"note: trajectory.{suffix} is left out: {missing}")
     print(
         f"{trajectory.t[-1] - trajectory.t[0]:g} s in {len(trajectory.t)} samples, {len(trajectory.phases)} manoeuvres: {folder}"
     )

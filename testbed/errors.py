@@ -33,6 +33,10 @@ class InputError(TestbedError):
     exit_code = 2
 
 
+class MissingExtra(InputError):
+    """A package of an extra is not installed. What does not ask for it by name leaves it out with a note."""
+
+
 class FlightError(InputError):
     """The aircraft cannot fly the script (stall, ground, divergence, out of its envelope)."""
 

@@ -22,7 +22,11 @@ GROUP = "testbed.estimators"
 
 
 class Estimator(Protocol):
-    """What the bench asks of a method under test."""
+    """What the bench asks of a method under test.
+
+    It may declare the sensors that it uses as a class attribute, ``sensors = ("imu", "gnss")``: then a run tells of those
+    in the log that no estimator uses.
+    """
 
     name: str
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import testbed
 from testbed import executors, pipeline
 from testbed.errors import InputError, TestbedError, nearest
+from testbed.notes import notes_of
 from testbed.records import Trajectory
 from testbed.scenario import LONGEST_TIMEOUT_S, Scenario
 from testbed.store import Store, files_digest
@@ -221,6 +222,7 @@ def provenance(scenario: Scenario, setup: Setup) -> dict[str, Any]:
         "seed": scenario.monte_carlo.seed,
         "runs": scenario.monte_carlo.runs,
         "estimators": [entry.row for entry in scenario.estimators],
+        "notes": notes_of(scenario),
         "plugins": [_as_seen_from_here(Path(p)) for p in setup.plugins],
         "testbed": testbed.__version__,
         "git": git_revision(),

@@ -187,6 +187,10 @@ class Scenario(Table):
             raise ValueError("a scenario has either [flight] or [recording]")
         if self.flight is not None and self.sensors is None:
             raise ValueError("a scenario with [flight] needs [sensors.imu]")
+        if self.recording is not None and self.sensors is not None:
+            raise ValueError(
+                "[sensors] has no meaning beside [recording], whose sensors are the recorded ones; their figures go into [recording.imu] and so on"
+            )
         rows = [entry.row for entry in self.estimators]
         for row in rows:
             if rows.count(row) > 1:
@@ -251,7 +255,11 @@ class Scenario(Table):
         if self.flight is not None and "/" in self.flight.aircraft:
             from testbed.flight.cache import content_of
 
-            data["flight"]["aircraft"] = hashlib.sha256(content_of(Path(self.flight.aircraft))).hexdigest()
+            try:
+                content = content_of(Path(self.flight.aircraft))
+            except InputError as error:
+                raise InputError(f"{self._source}: 'flight.aircraft': {error}") from None
+            data["flight"]["aircraft"] = hashlib.sha256(content).hexdigest()
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
 
 

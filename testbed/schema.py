@@ -44,6 +44,7 @@ DEEPEST = 32
 """Tables within tables that are read; the deepest key that means something (``variants.x.sensors...``) stands 8 deep."""
 INT64 = range(-(2**63), 2**63)
 """The integers that TOML promises to carry."""
+TOO_LARGE = "an integer has at most 64 bits"
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -68,29 +69,31 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     """
     try:
         data = tomllib.loads(text)
-        _check_plain(data)
     except RecursionError:
         raise InputError(f"{source}: not valid TOML: nested too deep") from None
-    except ValueError as error:  # of which TOMLDecodeError is one
+    except tomllib.TOMLDecodeError as error:
         raise InputError(f"{source}: not valid TOML: {error}") from None
+    except ValueError:  # Python converts at most 4300 digits
+        raise InputError(f"{source}: not valid TOML: {TOO_LARGE}") from None
+    _check_plain(data, source)
     return data
 
 
-def _check_plain(data: dict[str, Any]) -> None:
-    """Raise ValueError for a value that no table has a use for, with its place; without recursion."""
+def _check_plain(data: dict[str, Any], source: str) -> None:
+    """Raise InputError for a value that no table has a use for, with its place; without recursion."""
     waiting: list[tuple[str, Any, int]] = [("", data, 0)]
     while waiting:
         place, value, depth = waiting.pop()
         if depth > DEEPEST:
-            raise ValueError(f"'{place}' lies more than {DEEPEST} tables and lists deep")
+            raise InputError(f"{source}: '{place}' lies more than {DEEPEST} tables and lists deep")
         if isinstance(value, dict):
             waiting += [(f"{place}.{key}" if place else key, item, depth + 1) for key, item in value.items()]
         elif isinstance(value, list):
             waiting += [(f"{place}.{k}", item, depth + 1) for k, item in enumerate(value)]
         elif isinstance(value, int) and value not in INT64:
-            raise ValueError(f"'{place}': an integer has at most 64 bits")
+            raise InputError(f"{source}: '{place}': {TOO_LARGE}")
         elif isinstance(value, datetime.date | datetime.time):
-            raise ValueError(f"'{place}': no key takes a date or a time; a text stands in quotes")
+            raise InputError(f"{source}: '{place}': no key takes a date or a time; a text stands in quotes")
 
 
 def is_file(path: Path) -> bool:
@@ -140,6 +143,8 @@ def _explain(model: type[BaseModel], problem: dict[str, Any]) -> str:
         valid = [name.strip(" '") for name in context["expected_tags"].split(",")]
         return f"'{place}': unknown {context['discriminator'].strip(chr(39))} {shown(context['tag'])}; {nearest(context['tag'], valid)}"
     got = problem.get("input")
+    if kind in ("dict_type", "model_type", "model_attributes_type"):
+        return f"'{place}' should be a table, got {shown(got)}"
     value = f", got {shown(got)}" if isinstance(got, str | int | float | bool) else ""
     if kind in ("float_type", "int_type") and isinstance(got, str):
         value += "; numbers stand without quotes"

@@ -142,7 +142,8 @@ def _load(aircraft: Aircraft, folder: Path) -> Any:
     fdm.set_debug_level(0)
     model = aircraft.model
     with clean_copy(model.jsbsim) if model.shipped else nullcontext(ModelPaths(folder, folder, folder)) as paths:
-        loaded = fdm.load_model_with_paths(model.jsbsim, *map(str, paths), False)
+        model_path, engines, systems = (str(path) for path in paths)
+        loaded = fdm.load_model_with_paths(model.jsbsim, model_path, engines, systems, False)
     if not loaded:
         raise InputError(f"{folder / 'aircraft.toml'}: JSBSim cannot load the model '{model.jsbsim}'")
     fdm.disable_output()

@@ -27,6 +27,8 @@ class Recording:
 
     log: SensorLog
     reference: Trajectory | None = None
+    notes: tuple[str, ...] = ()
+    """What the scenario says of it without effect."""
 
 
 def check_time(t: Array, place: str) -> Array:

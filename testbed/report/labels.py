@@ -50,6 +50,11 @@ DASHES = ["solid", "dash", "dot", "dashdot", "longdash", "longdashdot"]
 MISSING = "–"
 
 
+def short_name(name: str, longest: int) -> str:
+    """A name with its middle left out where a figure has no room for more than ``longest`` characters."""
+    return name if len(name) <= longest else f"{name[: longest // 2]}…{name[-(longest - longest // 2 - 1) :]}"
+
+
 def split_metric(metric: str) -> tuple[str, str]:
     """``rmse_north_m`` -> (``rmse``, ``north_m``); a metric without a statistic gives an empty first part."""
     head, _, rest = metric.partition("_")

@@ -109,6 +109,11 @@ class Result:
     def run_count(self) -> int:
         return int(self.runs["run"].nunique()) if len(self.runs) else int(self.manifest.get("runs", 0) or 0)
 
+    @property
+    def notes(self) -> list[str]:
+        """What the scenario says without effect, in sentences."""
+        return [str(note) for note in self.manifest.get("notes") or []]
+
     def components(self, label: str) -> dict[str, list[str]]:
         """Names of the components of an estimator's extras, where ``info.json`` has them (``components``)."""
         return dict(self.info.get("components", {}).get(label, {}))

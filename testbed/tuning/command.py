@@ -10,10 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from testbed.csv_text import read_csv
-from testbed.errors import InputError
+from testbed.errors import InputError, MissingExtra
+from testbed.resources import has_package
+from testbed.screen import tell_user
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
+    from testbed.tuning.config import TuneConfig
     from testbed.tuning.tune import Progress
 
 QUIET_S = 10.0
@@ -45,6 +48,7 @@ def tune(
         seeds=_numbers("--seeds", seeds),
         population=population,
     )
+    config = _without_extras(config, asked=algorithms is not None)
     variant = f"-{scenario.variant}" if scenario.variant else ""
     folder = out or Path("results") / f"{scenario.name}{variant}-tuning"
     with progress_line() as tell:
@@ -53,6 +57,25 @@ def tune(
         print_study(folder)
         write_report(folder)
         print(f"report: {folder / 'report.html'}; parameter files: {folder / 'best'}")
+
+
+def _without_extras(config: TuneConfig, asked: bool) -> TuneConfig:
+    """Leave out, with a note, what needs a package that is not there; MissingExtra where it was ``asked`` for by name."""
+    from testbed.tuning.library import CMA_ES, NEEDS_CMA
+
+    if has_package("cma"):
+        return config
+    left = [name for name in config.algorithms if name != CMA_ES]
+    changes: dict[str, Any] = {}
+    if left != config.algorithms:
+        if asked or not left:
+            raise MissingExtra(NEEDS_CMA)
+        changes["algorithms"] = left
+        tell_user(f"note: {NEEDS_CMA}; it is left out")
+    if config.innovation_search == CMA_ES:
+        changes["innovation_search"] = "de"
+        tell_user(f"note: {NEEDS_CMA}; the innovations are searched by differential evolution")
+    return config.model_copy(update=changes)
 
 
 def print_study(folder: Path) -> None:
