@@ -53,7 +53,7 @@ def shown(value: object) -> str:
 def readable(message: str) -> str:
     """A message that fits a screen whatever it repeats: long words, long lines and many lines are cut."""
     lines = message.splitlines() or [""]
-    if len(lines) > MOST_LINES:
+    if len(lines) > MOST_LINES + 1:
         lines = [*lines[:MOST_LINES], f"... and {len(lines) - MOST_LINES} more"]
     words = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
     return "\n".join(_cut(words.sub(lambda word: _cut(word[0], LONGEST_WORD), line), LONGEST_LINE) for line in lines)
