@@ -41,7 +41,6 @@ def run(
     ``offered`` are the estimators that plug-ins brought.
     """
     import testbed.runner
-    from testbed.notes import notes_of
     from testbed.report import preload, render
 
     scenario = _choose_estimators(load({}), estimators)
@@ -54,8 +53,6 @@ def run(
     if sweep:
         _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=count, **options)
         return
-    for note in notes_of(scenario):
-        tell_user(f"note: {note}")
     _announce_compilation()
     if not options.get("resume") and (earlier := _stored_runs(folder)):
         tell_user(f"{folder} holds {earlier} runs of an earlier result, which this one replaces")
@@ -72,6 +69,8 @@ def run(
         tell_user(f"{stored} runs are stored in {folder}; tables and report are of the first {used}")
     print_summary(scenario, result.summary, result.runs)
     sys.stdout.flush()
+    for note in result.notes:
+        tell_user(f"note: {note}")
     print_failures(result.runs)
     if not result.claims.empty:
         print_claims(result.claims)

@@ -65,6 +65,8 @@ class Result:
     timings: pd.DataFrame
     improvements: pd.DataFrame
     consistency: pd.DataFrame
+    notes: tuple[str, ...] = ()
+    """What the scenario says without effect, see `testbed.notes`."""
 
     @property
     def metrics(self) -> pd.DataFrame:
@@ -121,7 +123,7 @@ def run(
         raise Interrupted(f"{told}, and the same command with --resume makes them") from None
     seconds = round(time.time() - started, 3)
     store.update_manifest(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
-    return Result(store.out, **vars(tables))
+    return Result(store.out, **vars(tables), notes=tuple(store.manifest["notes"]))
 
 
 def plan(
