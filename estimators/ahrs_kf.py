@@ -63,6 +63,7 @@ class AhrsKf:
     adaption_average_s: float = 1.0
 
     name: ClassVar[str] = "ahrs-kf"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "mag")
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = {
         "linear_accel_mps2": (0.01, 30.0, "log"),
         "linear_accel_time_s": (0.02, 300.0, "log"),

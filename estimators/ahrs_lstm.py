@@ -65,6 +65,7 @@ class AhrsLstm:
     weights: str = ""
     """A safetensors file; empty for the shipped one, ``untrained`` for a network that changes nothing."""
     name: ClassVar[str] = "ahrs-lstm"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "mag")
 
     def prepare(self, scenario: Any) -> None:
         """Read the weights before a batch begins. Raises InputError when they are missing, damaged or something else."""

@@ -58,6 +58,7 @@ class DirectEkf(DirectFilter):
     """Extended Kalman filter; prediction at every IMU sample, GNSS at its own time."""
 
     name: ClassVar[str] = "direct-ekf"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
     filter_name: ClassVar[str] = "ekf"
 
     def tracking(self) -> tuple[float, float]:

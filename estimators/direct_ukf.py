@@ -26,6 +26,7 @@ class DirectUkf(DirectFilter):
     kappa: float = 0.0
 
     name: ClassVar[str] = "direct-ukf"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = DirectFilter.parameter_space | {
         "alpha": (1e-3, 2.0, "log"),
         "beta": (0.0, 4.0, "linear"),

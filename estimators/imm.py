@@ -103,6 +103,7 @@ class ImmEkf(DirectFilter):
     """alpha of the chi-square test of refined strong tracking."""
 
     name: ClassVar[str] = "imm-ekf"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
     filter_name: ClassVar[str] = "ekf"
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = DirectFilter.parameter_space | {
         "stay_probability": (0.0, 1.0, "linear"),

@@ -90,6 +90,8 @@ class Lkf9(OpenLoop):
     """In an outage: False propagates the error estimate; True starts the INS anew at the last corrected state and lets it
     run free (the paper's *Update INS*). ``std`` is the filter's either way."""
 
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
+
     def run(self, log: SensorLog) -> NavSolution:
         """Corrected navigation at the IMU times."""
         ins = free_ins(log)

@@ -81,6 +81,7 @@ class NarxAiding:
     """Name of stored networks; empty: those of `fit`, or on-line learning from nothing."""
 
     name: ClassVar[str] = "narx"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
     _trained: DriftNetworks | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

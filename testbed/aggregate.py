@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from testbed import claims, statistics
+from testbed.csv_text import csv_text
 from testbed.files import writing
 from testbed.records import Array
 from testbed.scenario import Scenario
@@ -90,7 +91,7 @@ def aggregate(store: Store, scenario: Scenario, runs: Sequence[int], times: Arra
 
 def write_csv(store: Store, name: str, frame: pd.DataFrame) -> None:
     """Ten significant digits, so that equal numbers are equal bytes."""
-    store.write(name, frame.to_csv(index=False, float_format=FLOAT_FORMAT, lineterminator="\n").encode())
+    store.write(name, csv_text(frame, float_format=FLOAT_FORMAT, lineterminator="\n").encode())
 
 
 def write_parquet(store: Store, name: str, frame: pd.DataFrame) -> None:

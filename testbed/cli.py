@@ -5,9 +5,12 @@ Exit codes: 0 done, 1 the work failed, 2 bad usage or bad input. A user's mistak
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
 import sys
-from collections.abc import Callable, Mapping
+import traceback
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,6 +29,7 @@ app = typer.Typer(
     help="JSBSim flies a scripted manoeuvre, sensor models record it, every navigation filter is scored on the same recording.",
 )
 
+DEBUG = "--debug"
 _SCENARIO = typer.Argument(
     metavar="SCENARIO", help="Path of a TOML file, or the name of a shipped one.", autocompletion=completion.scenarios
 )
@@ -55,27 +59,54 @@ OutOption = Annotated[
 ]
 
 
+@app.callback()
+def options(
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show the traceback of an error inside of the bench (anywhere in the line).")
+    ] = False,
+) -> None:
+    """What stands before the verb; `main` has taken ``--debug`` out already, here it is for the help."""
+
+
 def main() -> None:
-    """Entry point of the command ``testbed``."""
-    from testbed.errors import TestbedError
+    """Entry point of the command ``testbed``. Whatever goes wrong ends in one message and an exit code, see `_failed`."""
     from testbed.screen import usable_streams
 
+    words = sys.argv[1:]
     usable_streams()
     try:
-        app()
-    except TestbedError as error:
-        print(f"testbed: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        print("testbed: stopped", file=sys.stderr)
-        sys.exit(1)
-    except BrokenPipeError:
-        sys.exit(1)
-    except OSError as error:
-        if error.filename is None:
+        app(args=[word for word in words if word != DEBUG])
+    except (SystemExit, typer.Exit):
+        raise
+    except BaseException as error:
+        if DEBUG in words:
             raise
-        print(f"testbed: {error.filename}: {error.strerror}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(_failed(error, words))
+
+
+def _failed(error: BaseException, words: Sequence[str]) -> int:
+    """Tell what ended a verb in one message; its exit code. What nobody foresaw names its place and how to report it."""
+    from testbed.errors import TestbedError, readable
+
+    if isinstance(error, BrokenPipeError):
+        # Python flushes once more at the end, and would complain of the closed pipe
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    code = 1
+    if isinstance(error, TestbedError):
+        told, code = str(error), error.exit_code
+    elif isinstance(error, KeyboardInterrupt):
+        told = "stopped"
+    elif isinstance(error, OSError) and error.filename is not None:
+        told = f"{error.filename}: {error.strerror}"
+    else:
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        line = shlex.join(["testbed", *words, DEBUG])
+        told = f"an error inside of the bench: {what}{place}; to report it, send the output of '{line}' and its input files"
+    print(f"testbed: {readable(told)}", file=sys.stderr)
+    return code
 
 
 def _loader(

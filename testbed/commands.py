@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from testbed.completion import LISTS
-from testbed.errors import OWN, InputError, TestbedError, nearest
+from testbed.errors import OWN, InputError, MissingExtra, TestbedError, nearest
 from testbed.files import check_place, writing
 from testbed.folders import Folder, check_own
 from testbed.screen import print_claims, print_failures, print_summary, progress_line, tell_user
@@ -72,6 +72,8 @@ def run(
         tell_user(f"{stored} runs are stored in {folder}; tables and report are of the first {used}")
     print_summary(scenario, result.summary, result.runs)
     sys.stdout.flush()
+    for note in result.notes:
+        tell_user(f"note: {note}")
     print_failures(result.runs)
     if not result.claims.empty:
         print_claims(result.claims)
@@ -118,9 +120,12 @@ def _sweep(load: Callable[[Mapping[str, Any]], Scenario], grid: list[str], folde
 def _run_count(runs: str | None) -> int | None:
     if runs is None:
         return None
-    if not runs.isdigit() or int(runs) < 1:
+    from testbed.scenario import MonteCarloConfig, position_of
+    from testbed.schema import validate
+
+    if not (count := position_of(runs)):
         raise InputError(f"--runs {runs}: expected a number of runs from 1, or 'auto'")
-    return int(runs)
+    return validate(MonteCarloConfig, {"runs": count}, "--runs").runs
 
 
 def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
@@ -131,7 +136,7 @@ def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
     if names is None:
         return scenario
     from testbed.registry import list_estimators
-    from testbed.scenario import EstimatorConfig
+    from testbed.scenario import EstimatorConfig, position_of
 
     rows = {entry.row: entry for entry in scenario.estimators}
     wanted = list(dict.fromkeys(part.strip() for part in names.split(",") if part.strip()))
@@ -149,7 +154,7 @@ def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
         raise InputError("--estimators: name at least one")
     kept = {entry.row for entry in chosen}
     for place in [key.split(".")[1] for key in scenario.settings if key.startswith("estimators.")]:
-        row = scenario.estimators[int(place)].row if place.isdigit() else place
+        row = place if (number := position_of(place)) is None else scenario.estimators[number].row
         if row not in kept and row not in {entry.name for entry in chosen}:
             raise InputError(f"'estimators.{place}' is set, but --estimators leaves '{row}' out")
     claims = [claim for claim in scenario.claims if {claim.better, claim.than} <= kept]
@@ -202,7 +207,10 @@ def fly(scenario: Scenario, out: Path | None) -> None:
     trajectory = pipeline.fly(scenario)
     with fresh_folder(folder) as scratch:
         for kind, suffix in (("parquet", "parquet"), ("csv", "csv"), ("kml", "kml"), ("navego", "mat")):
-            export_trajectory(trajectory, scratch / f"trajectory.{suffix}", kind)
+            try:
+                export_trajectory(trajectory, scratch / f"trajectory.{suffix}", kind)
+            except MissingExtra as missing:
+                tell_user(f"note: trajectory.{suffix} is left out: {missing}")
     print(
         f"{trajectory.t[-1] - trajectory.t[0]:g} s in {len(trajectory.t)} samples, {len(trajectory.phases)} manoeuvres: {folder}"
     )

@@ -25,7 +25,7 @@ from multiprocessing import connection, get_context, parent_process
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import InputError, TestbedError
+from testbed.errors import InputError, MissingExtra, TestbedError
 from testbed.forking import can_fork, quietly
 from testbed.limits import single_threaded, thread_environment
 from testbed.store import encode
@@ -268,7 +268,7 @@ def connect(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError:
-        raise InputError("--scheduler needs the extra 'cluster': pip install 'navigation-testbed[cluster]'") from None
+        raise MissingExtra("--scheduler needs the extra 'cluster': pip install 'navigation-testbed[cluster]'") from None
     try:
         return Client(address, timeout=10)
     except (OSError, TimeoutError, ValueError) as error:

@@ -15,14 +15,18 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
-from testbed.errors import OWN, InputError, nearest
+from testbed.errors import OWN, InputError, nearest, shown
 from testbed.records import NavSolution, SensorLog, Trajectory
 
 GROUP = "testbed.estimators"
 
 
 class Estimator(Protocol):
-    """What the bench asks of a method under test."""
+    """What the bench asks of a method under test.
+
+    It may declare the sensors that it uses as a class attribute, ``sensors = ("imu", "gnss")``: then a run tells of those
+    in the log that no estimator uses.
+    """
 
     name: str
 
@@ -86,7 +90,7 @@ def _check_kinds(name: str, kind: type, params: Mapping[str, Any]) -> None:
         number = not isinstance(usual, bool | str)
         if isinstance(given, str | bool) if number else not isinstance(given, type(usual)):
             what = "a number" if number else "a text" if isinstance(usual, str) else "true or false"
-            raise InputError(f"estimator '{name}': '{key}' should be {what} like {usual!r}, got {given!r}")
+            raise InputError(f"estimator '{name}': '{key}' should be {what} like {usual!r}, got {shown(given)}")
 
 
 def fast_path(kind: type, name: str) -> Callable[..., Any] | None:

@@ -19,8 +19,9 @@ from testbed import executors, pipeline
 from testbed.checksums import DamagedError
 from testbed.errors import InputError, TestbedError, nearest
 from testbed.folders import check_own
+from testbed.notes import notes_of
 from testbed.records import Trajectory
-from testbed.scenario import Scenario
+from testbed.scenario import LONGEST_TIMEOUT_S, Scenario
 from testbed.screen import tell_user
 from testbed.store import FORMAT, KIND, Store, StoreError, batch_of, files_digest, open_result
 from testbed.units import Setup, envelope_times
@@ -28,8 +29,6 @@ from testbed.units import Setup, envelope_times
 if TYPE_CHECKING:
     import pandas as pd
 
-LONGEST_S = 1e6
-"""Longest time limit, 11 days: what an interval timer takes anywhere, and more than any estimator is waited for."""
 MOST_RUNS = 1_000_000
 """What the six digits of a stored run's name can number."""
 
@@ -72,6 +71,8 @@ class Result:
     timings: pd.DataFrame
     improvements: pd.DataFrame
     consistency: pd.DataFrame
+    notes: tuple[str, ...] = ()
+    """What the scenario says without effect, see `testbed.notes`."""
 
     @property
     def metrics(self) -> pd.DataFrame:
@@ -133,7 +134,7 @@ def run(
         tables = _tables(store, scenario, wanted, trajectory)
         seconds = round(time.monotonic() - started, 3)
         store.save(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
-    return Result(store.out, **vars(tables))
+    return Result(store.out, **vars(tables), notes=tuple(store.manifest["notes"]))
 
 
 def _tables(store: Store, scenario: Scenario, runs: int, trajectory: Trajectory) -> Any:
@@ -164,10 +165,10 @@ def plan(
     if timeout is not None and timeout <= 0:
         raise InputError(f"--timeout {timeout:g}: must be above 0 s")
     setup = Setup(scenario, tuple(str(Path(p).resolve()) for p in plugins), timeout)
-    if setup.limit_s is not None and not setup.limit_s <= LONGEST_S:
+    if setup.limit_s is not None and not setup.limit_s <= LONGEST_TIMEOUT_S:
         raise InputError(
             f"{'--timeout' if timeout is not None else f'{scenario.source_path}: monte_carlo.timeout_s'} {setup.limit_s:g}: "
-            f"at most {LONGEST_S:g} s; leave it out for no limit"
+            f"at most {LONGEST_TIMEOUT_S:g} s; leave it out for no limit"
         )
     wanted = runs.cap if isinstance(runs, Auto) else scenario.monte_carlo.runs
     if wanted > MOST_RUNS:
@@ -256,6 +257,7 @@ def provenance(scenario: Scenario, setup: Setup) -> dict[str, Any]:
         "seed": scenario.monte_carlo.seed,
         "runs": scenario.monte_carlo.runs,
         "estimators": [entry.row for entry in scenario.estimators],
+        "notes": notes_of(scenario),
         "plugins": [_as_seen_from_here(Path(p)) for p in setup.plugins],
         "testbed": testbed.__version__,
         "git": git_revision(),

@@ -6,9 +6,10 @@ plain data. Angles are in degrees here and nowhere else; every key carries its u
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
-import tomllib
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -16,22 +17,24 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, model_validator
 
 from testbed import resources
-from testbed.errors import OWN, InputError, nearest
+from testbed.errors import OWN, InputError, nearest, shown
 from testbed.flight.config import FlightConfig
 from testbed.formats.config import RecordingConfig
-from testbed.schema import Table, dump_toml, read_toml, validate
+from testbed.schema import DEEPEST, Name, Table, dump_toml, is_file, parse_toml, read_toml, validate
 from testbed.sensors.config import InitialConfig, SensorsConfig
 
 if TYPE_CHECKING:
     import numpy as np
 
 Positive = Annotated[float, Field(gt=0)]
+LONGEST_TIMEOUT_S = 1e8
+"""Three years; the timers of the operating system take no infinity."""
 
 
 class Header(Table):
     """``[scenario]``: what it is called and where it comes from."""
 
-    name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$")
+    name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$", max_length=100)
     title: str = ""
     source: str = ""
     notes: str = ""
@@ -41,7 +44,7 @@ class EstimatorConfig(Table):
     """``[[estimators]]``: a method under test; ``label`` names its row where one method stands in several rows."""
 
     name: str
-    label: str = ""
+    label: Name = ""
     params: dict[str, Any] = {}
     params_file: str | None = None
     """TOML file with a table ``[params]``, as the tuner writes it; ``params`` stands above it."""
@@ -62,7 +65,19 @@ class Distribution(Table):
     def _one_of(self) -> Distribution:
         if (self.normal is None) == (self.uniform is None):
             raise ValueError("give either normal = [mean, sigma] or uniform = [low, high]")
+        if self.normal is not None and self.normal[1] < 0.0:
+            raise ValueError(f"normal = [mean, sigma]: sigma must not be negative, is {self.normal[1]:g}")
+        if self.uniform is not None and self.uniform[0] > self.uniform[1]:
+            low, high = self.uniform
+            raise ValueError(f"uniform = [low, high]: low ({low:g}) must not lie above high ({high:g})")
         return self
+
+    @property
+    def marks(self) -> list[float]:
+        """Values that must be possible, or the distribution means nothing: the mean, or both ends."""
+        if self.normal is not None:
+            return [self.normal[0]]
+        return [float(end) for end in self.uniform or ()]
 
     def draw(self, rng: np.random.Generator) -> float:
         """One value."""
@@ -75,7 +90,8 @@ class Distribution(Table):
 class MonteCarloConfig(Table):
     """``[monte_carlo]``: how many runs, from which seed, and what differs between them."""
 
-    runs: int = Field(default=20, ge=1)
+    runs: int = Field(default=20, ge=1, le=999_999)
+    """The files of the runs are numbered with six digits."""
     seed: int = Field(default=1, ge=0)
     vary: list[Literal["noise", "turn_on", "alignment", "outages", "turbulence", "manoeuvres"]] = [
         "noise",
@@ -87,14 +103,14 @@ class MonteCarloConfig(Table):
     """Keys inside ``[flight]``, for example ``"manoeuvres.1.bank_deg"``; used where ``vary`` has ``manoeuvres``."""
     divergence_position_m: Positive = 100_000.0
     """A run whose position error passes this anywhere is counted as diverged."""
-    timeout_s: Positive | None = None
+    timeout_s: Annotated[float, Field(gt=0, le=LONGEST_TIMEOUT_S)] | None = None
     """Longest time of one estimator on one run."""
 
 
 class WindowConfig(Table):
     """``[[windows]]``: where errors are scored. ``kind`` outages or phases makes one window for each of them."""
 
-    name: str = ""
+    name: Name = ""
     start: float | None = None
     end: float | None = None
     kind: Literal["fixed", "outages", "phases"] = "fixed"
@@ -171,6 +187,10 @@ class Scenario(Table):
             raise ValueError("a scenario has either [flight] or [recording]")
         if self.flight is not None and self.sensors is None:
             raise ValueError("a scenario with [flight] needs [sensors.imu]")
+        if self.recording is not None and self.sensors is not None:
+            raise ValueError(
+                "[sensors] has no meaning beside [recording], whose sensors are the recorded ones; their figures go into [recording.imu] and so on"
+            )
         rows = [entry.row for entry in self.estimators]
         for row in rows:
             if rows.count(row) > 1:
@@ -235,7 +255,11 @@ class Scenario(Table):
         if self.flight is not None and "/" in self.flight.aircraft:
             from testbed.flight.cache import content_of
 
-            data["flight"]["aircraft"] = hashlib.sha256(content_of(Path(self.flight.aircraft))).hexdigest()
+            try:
+                content = content_of(Path(self.flight.aircraft))
+            except InputError as error:
+                raise InputError(f"{self._source}: 'flight.aircraft': {error}") from None
+            data["flight"]["aircraft"] = hashlib.sha256(content).hexdigest()
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -246,20 +270,21 @@ def list_scenarios() -> dict[str, Path]:
 
 def overlays_of(name_or_path: str | Path) -> tuple[list[str], list[str]]:
     """Names of the profiles and of the variants that a scenario file has."""
-    data = read_toml(find_scenario(name_or_path))
-    return list(data.get("profiles", {})), list(data.get("variants", {}))
+    path = find_scenario(name_or_path)
+    overlays = _take_overlays(read_toml(path), path)
+    return list(overlays["profiles"]), list(overlays["variants"])
 
 
 def find_scenario(name_or_path: str | Path) -> Path:
     """The file behind a path or the name of a shipped scenario. Raises InputError with the nearest name."""
     path = Path(name_or_path)
-    if path.suffix == ".toml" or path.is_file():
-        if not path.is_file():
+    if path.suffix == ".toml" or is_file(path):
+        if not is_file(path):
             raise InputError(f"{path}: no such scenario file")
         return path
     shipped = list_scenarios()
     if str(name_or_path) not in shipped:
-        if (own := Path(f"{name_or_path}.toml")).is_file():
+        if is_file(own := Path(f"{name_or_path}.toml")):
             raise InputError(f"no shipped scenario is called '{name_or_path}'; did you mean the file {own}?")
         raise InputError(f"unknown scenario '{name_or_path}'; {nearest(str(name_or_path), shipped)}")
     return shipped[str(name_or_path)]
@@ -278,7 +303,7 @@ def load_scenario(
     """
     path = find_scenario(name_or_path)
     data = read_toml(path)
-    overlays = {kind: data.pop(kind, {}) for kind in ("profiles", "variants")}
+    overlays = _take_overlays(data, path)
     for kind, chosen in (("variants", variant), ("profiles", profile)):
         if chosen is None:
             continue
@@ -294,7 +319,33 @@ def load_scenario(
     scenario._source, scenario._variant, scenario._profile = str(path.resolve()), variant, profile
     scenario._settings = dict(overrides or {})
     _check_estimators(scenario)
+    _check_dispersion(scenario)
     return scenario
+
+
+def _take_overlays(data: dict[str, Any], path: Path) -> dict[str, dict[str, Any]]:
+    """Profiles and variants, taken out of the file's tables. Raises InputError for anything but tables of tables."""
+    overlays = {kind: data.pop(kind, {}) for kind in ("profiles", "variants")}
+    for kind, tables in overlays.items():
+        if not isinstance(tables, dict):
+            raise InputError(f"{path}: '{kind}' holds tables [{kind}.NAME], got {shown(tables)}")
+        for name, table in tables.items():
+            if not isinstance(table, dict):
+                raise InputError(f"{path}: '{kind}.{name}' should be a table of settings, got {shown(table)}")
+    return overlays
+
+
+def _check_dispersion(scenario: Scenario) -> None:
+    """Raise InputError for a dispersed key that no flight has, or a distribution whose own marks no flight allows."""
+    if scenario.flight is None:
+        return
+    flight = scenario.flight.model_dump(mode="json", exclude_none=True)
+    for key, distribution in scenario.monte_carlo.disperse.items():
+        for mark in distribution.marks:
+            data = copy.deepcopy(flight)
+            where = f"{scenario.source_path}: 'monte_carlo.disperse', '{key}' = {mark:g}"
+            set_key(data, key, mark, where)
+            validate(FlightConfig, data, where)
 
 
 def _overlay(data: dict[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
@@ -307,13 +358,20 @@ def _overlay(data: dict[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]
 def _inline_parameter_files(data: dict[str, Any], path: Path) -> None:
     """Replace each ``params_file`` by what it says, so that a resolved scenario depends on no other file."""
     entries = data.get("estimators")
-    for entry in entries if isinstance(entries, list) else []:
-        if isinstance(entry, dict) and isinstance(entry.get("params_file"), str):
-            file = path.parent / entry.pop("params_file")
+    for k, entry in enumerate(entries if isinstance(entries, list) else []):
+        if not isinstance(entry, dict) or not isinstance(entry.get("params_file"), str):
+            continue
+        if not isinstance(entry.get("params", {}), dict):
+            continue  # told when the scenario is checked
+        file = path.parent / entry.pop("params_file")
+        where = f"{path}: 'estimators.{k}.params_file'"
+        try:
             read = read_toml(file).get("params")
-            if not isinstance(read, dict):
-                raise InputError(f"{file}: a parameter file needs a table [params]")
-            entry["params"] = merge(read, entry.get("params", {}))
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+        if not isinstance(read, dict):
+            raise InputError(f"{where}: {file}: a parameter file needs a table [params]")
+        entry["params"] = merge(read, entry.get("params", {}))
 
 
 def _check_estimators(scenario: Scenario) -> None:
@@ -345,6 +403,8 @@ def set_key(data: dict[str, Any], key: str, value: Any, source: str) -> None:
     """
     *parents, last = key.split(".")
     node: Any = data
+    if len(parents) >= DEEPEST:
+        raise InputError(f"{source}: cannot set {shown(key)}: no key lies more than {DEEPEST} tables deep")
     for part in parents:
         node = node[_position(node, part, key, source)] if isinstance(node, list) else node.setdefault(part, {})
         if not isinstance(node, dict | list):
@@ -353,15 +413,21 @@ def set_key(data: dict[str, Any], key: str, value: Any, source: str) -> None:
 
 
 def _position(node: list[Any], part: str, key: str, source: str) -> int:
-    if key.startswith("estimators.") and key.split(".")[1] == part and not part.isdigit():
+    number = position_of(part)
+    if key.startswith("estimators.") and key.split(".")[1] == part and number is None:
         rows = [str(row.get("label") or row.get("name")) for row in node if isinstance(row, dict)]
         if part not in rows:
             node.append({"name": part})
             return len(node) - 1
         return rows.index(part)
-    if not part.isdigit() or int(part) >= len(node):
+    if number is None or number >= len(node):
         raise InputError(f"{source}: cannot set '{key}': '{part}' is not a position from 0 to {len(node) - 1}")
-    return int(part)
+    return number
+
+
+def position_of(text: str) -> int | None:
+    """The number that ``text`` writes in plain digits; None for anything else (``str.isdigit`` takes a superscript two)."""
+    return int(text) if re.fullmatch("[0-9]{1,9}", text) else None
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
@@ -369,7 +435,12 @@ def parse_setting(text: str) -> tuple[str, Any]:
     key, separator, value = text.partition("=")
     if not separator or not key:
         raise InputError(f"--set {text}: expected KEY=VALUE, for example monte_carlo.runs=50")
+    return key.strip(), parse_value(value)
+
+
+def parse_value(text: str) -> Any:
+    """A value as TOML writes it; what is no TOML, such as a bare word, counts as a string."""
     try:
-        return key.strip(), tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        return key.strip(), value.strip()
+        return parse_toml(f"value = {text}", "--set")["value"]
+    except InputError:
+        return text.strip()

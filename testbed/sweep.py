@@ -7,19 +7,20 @@ Each point is a result folder of its own, so a sweep resumes as its points do. `
 from __future__ import annotations
 
 import itertools
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from testbed.csv_text import csv_text
 from testbed.errors import InputError
 from testbed.files import write_with
 from testbed.folders import Folder, check_own, read_manifest
 from testbed.report.labels import window_label
 from testbed.runner import plan, prepare, run
 from testbed.scenario import Scenario
+from testbed.schema import parse_toml
 from testbed.scoring.quantities import MAIN, metric_label, unit
 from testbed.store import KIND as RESULT
 
@@ -36,8 +37,8 @@ def parse_sweep(text: str) -> tuple[str, list[Any]]:
     if not separator or not key.strip() or not values.strip():
         raise InputError(f"--sweep {text}: expected KEY=V1,V2,..., for example sensors.imu.rate_hz=50,100,200")
     try:
-        parsed = tomllib.loads(f"value = [{values}]")["value"]
-    except tomllib.TOMLDecodeError:
+        parsed = parse_toml(f"value = [{values}]", "--sweep")["value"]
+    except InputError:
         parsed = [value.strip() for value in values.split(",")]
     return key.strip(), parsed
 
@@ -71,7 +72,7 @@ def sweep(
     with Folder.open(out, KIND) as own:
         own.claim(["sweep.csv", "sweep.png"])
         table = _run_points(points, scenarios, folders, resume, announce, options)
-        own.write("sweep.csv", table.to_csv(index=False, float_format="%.10g", lineterminator="\n").encode())
+        own.write("sweep.csv", csv_text(table, float_format="%.10g", lineterminator="\n").encode())
         plot(table, keys, out / "sweep.png", metric)
         own.finish("sweep.png")
         own.save()

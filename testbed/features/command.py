@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from testbed.csv_text import csv_text
 from testbed.errors import InputError, nearest
 from testbed.features.learning import LearningData
 from testbed.features.lipschitz import LagCurve, lag_curve
@@ -118,10 +119,10 @@ def _write_tables(own: Folder, rankings: Mapping[str, Sequence[Ranked]], curves:
         for target, ranking in rankings.items()
         for k, r in enumerate(ranking, 1)
     ]
-    own.write("ranking.csv", pd.DataFrame(rows).to_csv(index=False, float_format="%.6g").encode())
+    own.write("ranking.csv", csv_text(pd.DataFrame(rows), float_format="%.6g").encode())
     lags = [
         {"target": target, "lags": int(lag), "index": index, "chosen": int(lag) == curve.order()}
         for target, curve in curves.items()
         for lag, index in zip(curve.lags, curve.index, strict=True)
     ]
-    own.write("lags.csv", pd.DataFrame(lags).to_csv(index=False, float_format="%.6g").encode())
+    own.write("lags.csv", csv_text(pd.DataFrame(lags), float_format="%.6g").encode())

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from importlib.metadata import version
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from testbed.columns import read_header
 from testbed.errors import InputError
 from testbed.files import StoreError
 from testbed.flight.config import FlightConfig
+from testbed.flight.models import files_of
 from testbed.records import Trajectory
 from testbed.resources import cache_root
 from testbed.screen import tell_user
@@ -40,9 +42,9 @@ def path_of(config: FlightConfig, folder: Path, seed: int) -> Path:
 
 
 def content_of(folder: Path) -> bytes:
-    """Names and bytes of the files in an aircraft's folder, in one string."""
-    files = (file for file in sorted(folder.rglob("*")) if file.is_file())
-    return b"".join(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes() for file in files)
+    """Names and bytes of the files in an aircraft's folder, in one string. Raises InputError where it is none."""
+    names = ((os.fsencode(file.relative_to(folder).as_posix()), file) for file in files_of(folder))
+    return b"".join(name + b"\0" + file.read_bytes() for name, file in names)
 
 
 def load(path: Path) -> Trajectory | None:

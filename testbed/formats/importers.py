@@ -42,7 +42,9 @@ def _load_navego(config: RecordingConfig, root: Path, folder: Path) -> Recording
     recording = navego.load(root, config.files, config.sampling, config.initial.start)
     log = recording.log
     changed = {kind: _respecify(config, folder, kind, getattr(log, kind)) for kind in KINDS}
-    return _cut(config, Recording(replace(log, **changed), recording.reference), str(root))
+    given = config.initial.model_fields_set
+    idle = without_effect(config, () if "start" in given and navego.states_initial(root, config.files) else ("start",))
+    return _cut(config, Recording(replace(log, **changed), recording.reference, idle), str(root))
 
 
 def _load_table(config: RecordingConfig, root: Path, folder: Path) -> Recording:
@@ -52,6 +54,13 @@ def _load_table(config: RecordingConfig, root: Path, folder: Path) -> Recording:
     tables = table.Tables(root, config.files, columns | config.columns)
     raw = Raw.from_tables(tables, config.sampling)
     return _finish(config, folder, raw, str(root))
+
+
+def without_effect(config: RecordingConfig, heeded: tuple[str, ...]) -> tuple[str, ...]:
+    """A note on the keys of ``[recording.initial]`` that were given but not ``heeded``: the files state the initial state."""
+    idle = sorted(set(config.initial.model_fields_set) - set(heeded))
+    keys = ", ".join(f"recording.initial.{key}" for key in idle)
+    return (f"{keys} has no effect: the files of the recording state the initial state",) if idle else ()
 
 
 class Raw:
@@ -139,11 +148,12 @@ def _finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Reco
         gnss, initial = _after(gnss, t_start), None
     grid = np.concatenate([[t_start], imu.t])
     reference = reference_on_grid(grid, raw.motion, place) if raw.motion is not None else None
+    idle = () if initial is None else without_effect(config, ())
     if initial is None:
         aligned = align(config.initial, imu, gnss, samples["mag"], reference, t_start, place)
         imu, gnss, initial = aligned.imu, aligned.gnss, aligned.initial
     log = SensorLog(imu, initial, gnss, _after(samples["mag"], initial.t), _after(samples["baro"], initial.t), raw.name)
-    return _cut(config, Recording(log, reference), place)
+    return _cut(config, Recording(log, reference, idle), place)
 
 
 def _respecify(config: RecordingConfig, folder: Path, kind: str, samples: Any) -> Any:
@@ -197,7 +207,7 @@ def _cut(config: RecordingConfig, recording: Recording, place: str) -> Recording
             raise InputError(f"{place}: the reference does not overlap the part that is used")
         if not keep.all():
             reference = _cut_trajectory(reference, keep)
-    return Recording(log, reference)
+    return Recording(log, reference, recording.notes)
 
 
 def _cut_trajectory(trajectory: Trajectory, keep: NDArray[np.bool_]) -> Trajectory:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed import specs
-from testbed.errors import InputError, nearest
+from testbed.errors import InputError, nearest, shown
 from testbed.formats import column_units
 from testbed.formats.recording import check_finite, check_place, check_time, existing
 from testbed.records import Array, SensorLog, Trajectory
@@ -258,7 +258,7 @@ def _numbers(column: pd.Series, place: str) -> Array:
         bad = numbers.isna() & column.notna()
         if bad.any():
             k = int(np.argmax(bad.to_numpy()))
-            raise InputError(f"{place}: sample {k} is '{column.iloc[k]}', expected a number")
+            raise InputError(f"{place}: sample {k} is {shown(column.iloc[k])}, expected a number")
         column = numbers
     return column.to_numpy()
 

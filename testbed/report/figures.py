@@ -17,7 +17,7 @@ import pandas as pd
 from testbed.files import write_with
 from testbed.report import geometry, innovations
 from testbed.report.headline import headline
-from testbed.report.labels import COLOURS, component_label
+from testbed.report.labels import COLOURS, component_label, short_name
 from testbed.report.results import Result, thin
 from testbed.scoring.quantities import GROUPS, MAIN, axis_title, quantity_label, unit
 
@@ -44,6 +44,7 @@ STYLE: Any = {
     "legend.fontsize": 7,
     "lines.linewidth": 1.0,
     "svg.hashsalt": "testbed",
+    "text.parse_math": False,
     "svg.fonttype": "none",
     "path.simplify_threshold": 0.5,
 }
@@ -159,7 +160,8 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
     """Box plots over the runs: median, quartiles, whiskers at 5 and 95 %, the runs outside of them."""
     figure = _figure(0.9 + 0.26 * len(estimators))
     axes = np.atleast_1d(figure.subplots(1, len(metrics), sharey=True))
-    bottom, left = 0.42 / figure.get_figheight(), 0.03 + 0.0105 * max(map(len, estimators), default=0)
+    names = [short_name(name, 40) for name in estimators]  # 40 characters take 45 % of the width
+    bottom, left = 0.42 / figure.get_figheight(), 0.03 + 0.0105 * max(map(len, names), default=0)
     figure.subplots_adjust(left=max(0.14, left), right=0.99, bottom=bottom, top=0.97, wspace=0.12)
     for ax, metric in zip(axes, metrics, strict=True):
         rows = per_run[per_run["metric"] == metric]
@@ -174,7 +176,7 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
             ax.xaxis.set_major_formatter(PLAIN)
             ax.minorticks_off()
         ax.set_xlabel(axis_title(metric))
-    axes[0].set_yticks(range(1, len(estimators) + 1), estimators)
+    axes[0].set_yticks(range(1, len(estimators) + 1), names)
     axes[0].invert_yaxis()
     return figure
 
@@ -380,11 +382,12 @@ def _legend(figure: Figure, ax: Axes) -> None:
     names = [name for name in dict.fromkeys(labels) if name]
     if not names:
         return
-    columns = min(len(names), max(1, int((WIDTH - 0.2) / (0.5 + 0.058 * max(map(len, names))))))
+    words = [short_name(name, 100) for name in names]  # as many fit into the width
+    columns = min(len(names), max(1, int((WIDTH - 0.2) / (0.5 + 0.058 * max(map(len, words))))))
     _grow(figure, 0.15 * (-(-len(names) // columns) - 1))
     figure.legend(
         [unique[n] for n in names],
-        names,
+        words,
         loc="upper right",
         bbox_to_anchor=(0.99, 1.0),
         ncols=columns,

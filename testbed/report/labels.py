@@ -24,6 +24,11 @@ DASHES = ["solid", "dash", "dot", "dashdot", "longdash", "longdashdot"]
 MISSING = "–"
 
 
+def short_name(name: str, longest: int) -> str:
+    """A name with its middle left out where a figure has no room for more than ``longest`` characters."""
+    return name if len(name) <= longest else f"{name[: longest // 2]}…{name[-(longest - longest // 2 - 1) :]}"
+
+
 def window_label(window: str) -> str:
     """``all`` -> ``whole flight``; ``phase_3_turn`` -> ``phase 3, turn``."""
     if window == "all":

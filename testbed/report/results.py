@@ -17,6 +17,7 @@ from typing import Any
 import pandas as pd
 
 from testbed.checksums import read_json
+from testbed.csv_text import read_csv
 from testbed.errors import InputError
 from testbed.store import Store, open_result, optional_part
 
@@ -152,6 +153,11 @@ class Result:
     def run_count(self) -> int:
         return int(self.runs["run"].nunique()) if len(self.runs) else int(self.manifest.get("runs", 0) or 0)
 
+    @property
+    def notes(self) -> list[str]:
+        """What the scenario says without effect, in sentences."""
+        return [str(note) for note in self.manifest.get("notes") or []]
+
     def components(self, label: str) -> dict[str, list[str]]:
         """Names of the components of an estimator's extras, where ``info.json`` has them (``components``)."""
         return dict(self.info.get("components", {}).get(label, {}))
@@ -206,7 +212,7 @@ def _read(store: Store, name: str, columns: str) -> pd.DataFrame:
     texts = {column: str for column in wanted if column in TEXT_COLUMNS}
 
     def read(path: Path) -> pd.DataFrame:
-        frame = pd.read_csv(path, dtype=texts) if path.suffix == ".csv" else pd.read_parquet(path)
+        frame = read_csv(path, dtype=texts) if path.suffix == ".csv" else pd.read_parquet(path)
         for column in wanted:
             if column not in texts and column in frame and not pd.api.types.is_numeric_dtype(frame[column]):
                 raise ValueError(f"column '{column}' holds something else than numbers")

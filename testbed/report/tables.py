@@ -76,6 +76,8 @@ def comparison(result: Result, window: str) -> Table:
     note = (
         f"RMSE ({window_label(window)}) unless the head says otherwise: mean over {over}. Best of each column in bold."
     )
+    if window == "all":
+        note += "".join(f" Note: {sentence}." for sentence in result.notes)
     return Table(f"comparison-{window}", f"Errors, {window_label(window)}", columns, rows, note)
 
 

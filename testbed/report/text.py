@@ -5,6 +5,8 @@ Both render the `Table` values of `testbed.report.tables`; units stand in the co
 
 from __future__ import annotations
 
+import re
+
 from testbed.report import innovations, provenance, tables
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
@@ -98,7 +100,8 @@ def _latex_table(result: Result, table: Table) -> str:
         "  \\centering\\footnotesize\\setlength{\\tabcolsep}{4pt}",
         f"  \\caption{{{_escape(f'{table.title}. {table.note}')}}}",
     ]
-    lines += [f"  \\label{{tab:{result.name}-{table.key}}}", f"  \\begin{{tabular}}{{{layout}}}", "    \\toprule"]
+    key = re.sub(r"[^A-Za-z0-9.:_-]", "-", f"{result.name}-{table.key}")  # in a label nothing can be escaped
+    lines += [f"  \\label{{tab:{key}}}", f"  \\begin{{tabular}}{{{layout}}}", "    \\toprule"]
     lines += [*_latex_heads(table), "    \\midrule"]
     for name, cells in table.rows:
         lines.append("    " + " & ".join([_escape(name), *(_latex_cell(c) for c in cells)]) + " \\\\")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from testbed.csv_text import csv_text, read_csv
 from testbed.errors import InputError
 from testbed.files import as_json, write_atomic
 from testbed.folders import Folder
@@ -78,7 +79,7 @@ def _write(study: Study, to: _Target, figures: bool, others: Sequence[Path]) -> 
     if target.resolve() != study.folder.resolve():
         written["heldout.csv"] = study.heldout
     for name, table in written.items():
-        to.write(name, table.to_csv(index=False, float_format="%.6g").encode())
+        to.write(name, csv_text(table, float_format="%.6g").encode())
     parts = [
         f"# {study.manifest['title'] or study.manifest['scenario']}\n",
         _what_was_run(study),
@@ -141,14 +142,13 @@ def write_functions(folder: str | Path, **settings: Any) -> Path:
 
     made = [benchmark_table(**{"seeds": SEEDS, "shift": shift} | settings).assign(shift=shift) for shift in (0.0, 0.3)]
     path = Path(folder) / "functions.csv"
-    write_atomic(path, pd.concat(made).to_csv(index=False, float_format="%.6g").encode())
+    write_atomic(path, csv_text(pd.concat(made), float_format="%.6g").encode())
     return path
 
 
 def _functions(path: Path) -> list[str]:
-    import pandas as pd
 
-    table = pd.read_csv(path)
+    table = read_csv(path)
     wide = table.pivot(index=["function", "shift"], columns="algorithm", values="median").reset_index()
     order = list(dict.fromkeys(table["algorithm"]))
     return [
@@ -160,13 +160,12 @@ def _functions(path: Path) -> list[str]:
 
 
 def _speed(path: Path) -> list[str]:
-    import pandas as pd
 
     return [
         "## What an evaluation costs\n",
         "Both filter runs of it, in s. ``busiest_thread_s`` is processor time: the wall time of a machine with nothing else to do. The last two"
         f" columns come from it; ``table_h`` is the paper's whole table of {TABLE_EVALUATIONS} evaluations, in hours.\n",
-        markdown(pd.read_csv(path)),
+        markdown(read_csv(path)),
     ]
 
 
@@ -196,7 +195,7 @@ def _several(study: Study, others: Sequence[Path], to: _Target, figures: bool) -
         if other.config.test_runs != study.config.test_runs:
             raise InputError(f"{other.folder}: was scored on other unseen runs than {study.folder}")
     table = several_studies(studies)
-    to.write("heldout-all.csv", table.to_csv(index=False, float_format="%.6g").encode())
+    to.write("heldout-all.csv", csv_text(table, float_format="%.6g").encode())
     text = [
         "## Studies with other boxes and other training flights, on the same unseen runs\n",
         "``train`` is the mean over the flights of that study. In each study the best by ``test`` stands first.\n",

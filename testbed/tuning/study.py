@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from testbed.csv_text import read_csv
 from testbed.errors import InputError
 from testbed.folders import Folder
 from testbed.scenario import Scenario, load_scenario
@@ -28,10 +29,8 @@ TABLES = {
 
 def _read_csv(path: Path, columns: str) -> pd.DataFrame:
     """A table of the study. Raises InputError that names a missing or damaged one."""
-    import pandas as pd
-
     try:
-        table = pd.read_csv(path)
+        table = read_csv(path)
     except FileNotFoundError:
         raise InputError(f"{path}: is missing") from None
     except (ValueError, OSError) as error:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed import statistics
+from testbed.csv_text import csv_text
 from testbed.folders import Folder
 from testbed.records import Array
 from testbed.scenario import Scenario
@@ -60,7 +61,7 @@ def write_tables(
     scores = _scores(folder, scenario, config, tasks, seen)
     made = {"searches": pd.DataFrame(searches), "history": pd.concat(histories), "timings": pd.DataFrame(timings)}
     made |= {"scores": scores, "heldout": heldout(scores, config)}
-    texts = {f"{name}.csv": table.to_csv(index=False, float_format="%.10g") for name, table in made.items()}
+    texts = {f"{name}.csv": csv_text(table, float_format="%.10g") for name, table in made.items()}
     folder.claim(texts)
     for name, text in texts.items():
         folder.write(name, text.encode())
