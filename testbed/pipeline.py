@@ -116,7 +116,7 @@ def truth_at_imu(trajectory: Trajectory, log: SensorLog) -> Trajectory:
     arm = np.array(log.imu.spec.lever_arm_b)
     if not arm.any():
         return trajectory
-    from testbed.sensors.gnss import point_state
+    from testbed.interpolate import point_state
 
     lat, lon, h, v_n = point_state(trajectory, trajectory.t, arm)
     return replace(trajectory, lat=lat, lon=lon, h=h, v_n=v_n)

@@ -20,7 +20,8 @@ from testbed.errors import OWN, InputError, nearest
 from testbed.flight.config import FlightConfig
 from testbed.formats.config import RecordingConfig
 from testbed.schema import Table, dump_toml, read_toml, validate
-from testbed.sensors.config import InitialConfig, SensorsConfig
+from testbed.sensors.config import InitialConfig
+from testbed.sensors.registry import SensorsConfig
 
 if TYPE_CHECKING:
     import numpy as np
