@@ -14,14 +14,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Discriminator, Field, PrivateAttr, Tag, model_validator
 
 from testbed import resources
 from testbed.errors import OWN, InputError, nearest, shown
 from testbed.flight.config import FlightConfig
+from testbed.flight.drive import DriveConfig
 from testbed.formats.config import RecordingConfig
-from testbed.schema import DEEPEST, Name, Table, dump_toml, is_file, parse_toml, read_toml, validate
-from testbed.sensors.config import InitialConfig, SensorsConfig
+from testbed.schema import DEEPEST, JSBSIM, Name, Table, dump_toml, is_file, parse_toml, read_toml, validate
+from testbed.sensors.config import InitialConfig
+from testbed.sensors.registry import SensorsConfig
 
 if TYPE_CHECKING:
     import numpy as np
@@ -160,11 +162,21 @@ class TableConfig(Table):
     note: str = ""
 
 
+def _maker(data: Any) -> str:
+    """Tag of the maker of a motion, for data or a configuration."""
+    found = data.get("type", JSBSIM) if isinstance(data, Mapping) else getattr(data, "type", JSBSIM)
+    return str(found)
+
+
+Motion = Annotated[Annotated[FlightConfig, Tag(JSBSIM)] | Annotated[DriveConfig, Tag("drive")], Discriminator(_maker)]
+"""``[flight]``: flown by JSBSim where it does not say otherwise."""
+
+
 class Scenario(Table):
     """A checked scenario. Exactly one of ``flight`` and ``recording`` is set."""
 
     scenario: Header
-    flight: FlightConfig | None = None
+    flight: Motion | None = None
     recording: RecordingConfig | None = None
     sensors: SensorsConfig | None = None
     initial: InitialConfig = InitialConfig()
@@ -252,7 +264,7 @@ class Scenario(Table):
         for sensor in data.get("sensors", {}).values():
             if isinstance(sensor, dict) and "file" in sensor:
                 sensor["file"] = hashlib.sha256(Path(sensor["file"]).read_bytes()).hexdigest()
-        if self.flight is not None and "/" in self.flight.aircraft:
+        if isinstance(self.flight, FlightConfig) and "/" in self.flight.aircraft:
             from testbed.flight.cache import content_of
 
             try:

@@ -37,6 +37,9 @@ def _printable(value: str) -> str:
 Name = Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(_printable)]
 """What names a row, a window or a manoeuvre in tables, figures and file names."""
 
+JSBSIM = "jsbsim"
+"""Tag of a union's member that is taken where nobody writes a tag; so no message shows it."""
+
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -129,7 +132,7 @@ def _without_consequences(model: type[BaseModel], problems: list[dict[str, Any]]
 
 def _explain(model: type[BaseModel], problem: dict[str, Any]) -> str:
     loc, kind = problem["loc"], problem["type"]
-    place = ".".join(str(part) for part in loc) or "(top level)"
+    place = ".".join(str(part) for part in loc if part != JSBSIM) or "(top level)"
     if kind == "extra_forbidden":
         fields = _fields_at(model, loc[:-1])
         return f"'{place}' is not a known key; {nearest(str(loc[-1]), fields)}"
@@ -140,8 +143,10 @@ def _explain(model: type[BaseModel], problem: dict[str, Any]) -> str:
         return f"'{place}': the key {problem['ctx']['discriminator']} is missing"
     if kind == "union_tag_invalid":
         context = problem["ctx"]
+        key = context["discriminator"].strip(chr(39))
+        key = "type" if key.endswith("()") else key  # found by a function, as the tag may be left out
         valid = [name.strip(" '") for name in context["expected_tags"].split(",")]
-        return f"'{place}': unknown {context['discriminator'].strip(chr(39))} {shown(context['tag'])}; {nearest(context['tag'], valid)}"
+        return f"'{place}': unknown {key} {shown(context['tag'])}; {nearest(context['tag'], valid)}"
     got = problem.get("input")
     if kind in ("dict_type", "model_type", "model_attributes_type"):
         return f"'{place}' should be a table, got {shown(got)}"
