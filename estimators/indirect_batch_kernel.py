@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from estimators.core.lanes import WIDTH, circular, load, splat, store
 from estimators.error_model import N_STATES, coefficients
 from estimators.indirect_kernel import SAME_TIME, mean_matrix
-from estimators.indirect_search_lanes import WIDTH, circular, load, splat, store
 from estimators.indirect_search_update import update_lanes, wrapped
 from estimators.strapdown import compensate, coning_sculling, increments
 from testbed import earth

@@ -34,7 +34,7 @@ class Searcher:
     """
 
     def __init__(self, log: SensorLog, reference: Trajectory, stride: int = 10) -> None:
-        from estimators.indirect_search_lanes import WIDTH
+        from estimators.core.lanes import WIDTH
 
         require_gnss(log, "indirect-kf")
         times = log.imu.t[stride - 1 :: stride]
@@ -72,8 +72,8 @@ class Searcher:
         return rmse, deviance
 
     def _filter(self, candidates: Sequence[IndirectKf]) -> tuple[Array, Array]:
+        from estimators.core.lanes import aligned
         from estimators.indirect_batch_kernel import filter_lanes
-        from estimators.indirect_search_lanes import aligned
 
         log, noise = self._log, noise_model(self._log)
         covariance, q, rmse = aligned(noise.covariance.size), aligned(len(noise.q)), aligned(9)

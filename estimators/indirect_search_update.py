@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from estimators.core.lanes import WIDTH, floor, load, splat, store
 from estimators.error_model import N_STATES
 from estimators.indirect_kernel import MEASUREMENTS, correct
-from estimators.indirect_search_lanes import WIDTH, floor, load, splat, store
 from testbed import earth
 from testbed.rotations import cross, matrix_rotate, quat_to_matrix
 

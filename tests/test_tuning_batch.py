@@ -10,9 +10,9 @@ from numba import njit
 from synthetic import sensor_log, weaving_flight
 from test_tuning_objective import EIGHTEEN, objective
 
+from estimators.core.lanes import WIDTH, aligned, load, store
 from estimators.indirect_kf import IndirectKf
 from estimators.indirect_search import searcher
-from estimators.indirect_search_lanes import WIDTH, aligned, load, store
 from testbed.records import SensorLog, Trajectory
 from testbed.tuning.config import RMSE_METRICS
 from testbed.tuning.objective import DEVIANCE, Recording

@@ -11,8 +11,8 @@ import os
 import numpy as np
 import pytest
 
+from estimators.core.lanes import WIDTH
 from estimators.indirect_kf import IndirectKf
-from estimators.indirect_search_lanes import WIDTH
 from testbed.scenario import load_scenario
 from testbed.tuning.config import tune_config
 from testbed.tuning.objective import make_objective, record
