@@ -10,7 +10,8 @@ allocates nothing. The plural names do the same for whole logs: arrays of N rows
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import overload
 
 
 @njit(cache=True)
@@ -43,17 +44,32 @@ def quat_normalize(q):
     return (q[0] * n, q[1] * n, q[2] * n, q[3] * n)
 
 
+def half_turn(square):
+    """Cosine of half an angle and sine of half of it over the angle, from the angle's ``square`` (rad²); kernels only.
+
+    Floats have it here; another kind of number brings its own.
+    """
+    raise NotImplementedError("kernels only")
+
+
+@overload(half_turn)
+def _half_turn(square):
+    if not isinstance(square, types.Float):
+        return None
+
+    def branches(square):
+        if square < 1e-8:  # the series keeps full precision at zero
+            return 1.0 - square / 8.0, 0.5 - square / 48.0
+        angle = np.sqrt(square)
+        return np.cos(0.5 * angle), np.sin(0.5 * angle) / angle
+
+    return branches
+
+
 @njit(cache=True)
 def rotvec_to_quat(v):
-    """Unit quaternion of a rotation vector (rad). Series below 1e-4 rad keeps full precision at zero."""
-    n2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    if n2 < 1e-8:
-        c = 1.0 - n2 / 8.0
-        s = 0.5 - n2 / 48.0
-    else:
-        n = np.sqrt(n2)
-        c = np.cos(0.5 * n)
-        s = np.sin(0.5 * n) / n
+    """Unit quaternion of a rotation vector (rad)."""
+    c, s = half_turn(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     return (c, s * v[0], s * v[1], s * v[2])
 
 

@@ -2,6 +2,9 @@
 
 Kernels only: values of this type live inside compiled functions. Each operation is that of IEEE 754 on each lane by itself,
 so a result depends neither on the other lanes nor on the place among them, and a NaN stays in its lane.
+
+A kernel that reads and writes its arrays through `get`, `put`, `entry` and `set_entry` is written once for both kinds of
+number: an array (n,) or (n,m) holds floats, a table (n,WIDTH) or (n,m,WIDTH) holds lanes.
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 from numpy.typing import NDArray
+
+from testbed.rotations import half_turn
 
 WIDTH = 8
 """Numbers side by side: a cache line of doubles, one AVX-512 register or two of AVX2."""
@@ -103,12 +108,12 @@ def _pointer(context: Any, builder: Any, array_type: Any, array: Any, row: Any) 
 
 
 def _is_table(kind: Any) -> bool:
-    return isinstance(kind, types.Array) and kind.dtype == types.float64 and kind.ndim == 2 and kind.layout == "C"
+    return isinstance(kind, types.Array) and kind.dtype == types.float64 and kind.ndim > 1 and kind.layout == "C"
 
 
 @intrinsic
 def load(typing_context: Any, table: Any, row: Any) -> Any:
-    """Row of a table of `aligned`."""
+    """Row of a table of `aligned`, counted through all its axes but the last."""
     if not _is_table(table) or not isinstance(row, types.Integer):
         return None
 
@@ -162,6 +167,80 @@ _square_root = _unary("sqrt")
 floor = _unary("floor")
 
 
+def get(array: Any, i: Any) -> Any:
+    """Number i: a float of an array (n,), lanes of a table (n,WIDTH)."""
+    raise NotImplementedError("kernels only")
+
+
+def put(array: Any, i: Any, x: Any) -> None:
+    """Set number i; a float fills all lanes of a table."""
+    raise NotImplementedError("kernels only")
+
+
+def entry(array: Any, i: Any, j: Any) -> Any:
+    """Number (i,j) of an array (n,m) or a table (n,m,WIDTH)."""
+    raise NotImplementedError("kernels only")
+
+
+def set_entry(array: Any, i: Any, j: Any, x: Any) -> None:
+    """Set number (i,j)."""
+    raise NotImplementedError("kernels only")
+
+
+@overload(get)
+def _get(array, i):
+    return (lambda array, i: array[i]) if array.ndim == 1 else lambda array, i: load(array, i)
+
+
+@overload(put)
+def _put(array, i, x):
+    if array.ndim > 1:
+        return lambda array, i, x: store(array, i, as_lanes(x))
+
+    def put_float(array, i, x):
+        array[i] = x
+
+    return put_float
+
+
+@overload(entry)
+def _entry(array, i, j):
+    if array.ndim == 2:
+        return lambda array, i, j: array[i, j]
+    return lambda array, i, j: load(array, i * array.shape[1] + j)
+
+
+@overload(set_entry)
+def _set_entry(array, i, j, x):
+    if array.ndim > 2:
+        return lambda array, i, j, x: store(array, i * array.shape[1] + j, as_lanes(x))
+
+    def set_float(array, i, j, x):
+        array[i, j] = x
+
+    return set_float
+
+
+def as_lanes(x: Any) -> Any:
+    """Lanes as they are, a float in each lane."""
+    raise NotImplementedError("kernels only")
+
+
+@overload(as_lanes)
+def _lanes_of(x):
+    return (lambda x: x) if isinstance(x, LanesType) else lambda x: splat(float(x))
+
+
+def is_zero(x: Any) -> Any:
+    """Whether a number is zero and may be left out of a sum; lanes are never taken to be."""
+    raise NotImplementedError("kernels only")
+
+
+@overload(is_zero)
+def _is_zero(x):
+    return (lambda x: False) if isinstance(x, LanesType) else lambda x: x == 0.0
+
+
 TERMS = 9
 _SINE = tuple(1.0 / math.factorial(2 * k + 1) for k in range(TERMS))
 _COSINE = tuple(1.0 / math.factorial(2 * k) for k in range(TERMS))
@@ -204,6 +283,25 @@ def _cos(x):
 def _sqrt(x):
     if isinstance(x, LanesType):
         return lambda x: _square_root(x)
+    return None
+
+
+@overload(np.mod)
+def _mod(x, period):
+    if isinstance(x, LanesType) and not isinstance(period, LanesType):
+        return lambda x, period: x - floor(x * (1.0 / period)) * period
+    return None
+
+
+@overload(half_turn)
+def _half_turn(square):
+    if isinstance(square, LanesType):
+
+        def series(square):
+            sine, cosine = circular(-0.25 * square)
+            return cosine, 0.5 * sine
+
+        return series
     return None
 
 

@@ -1,0 +1,124 @@
+"""Position and velocity of a GNSS antenna at the end of a lever arm: loosely coupled aiding.
+
+Groves, 2nd ed., eq. 14.110 and 14.111, with position in metres. The antenna's velocity has the sweep of the arm and, as the
+velocity is that over ground, what the Earth turns under it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
+from estimators.core.filter import attitude, triple
+from estimators.core.lanes import get, put, set_entry
+from testbed import earth
+from testbed.errors import InputError
+from testbed.records import GnssFixes, SensorLog
+from testbed.rotations import cross, matrix_rotate, quat_to_matrix
+
+MINIMUM_STD = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
+"""R of an ideal receiver is zero, which no filter can use: 1 mm and 0.1 mm/s are the least (1 sigma)."""
+GYRO_BIAS = 3
+"""Place of the gyro bias' column in the parameters, behind the lever arm."""
+
+
+def require_gnss(log: SensorLog, name: str) -> GnssFixes:
+    """The log's GNSS fixes. Raises InputError when it has none."""
+    if log.gnss is None or len(log.gnss.t) == 0:
+        raise InputError(
+            f"estimator '{name}' needs GNSS fixes, but the log '{log.name}' has none; add [sensors.gnss] or use 'ins'"
+        )
+    return log.gnss
+
+
+def fixes(log: SensorLog, columns: Columns, part: slice = slice(0, 6), name: str = "eskf") -> Measurements:
+    """Latitude, longitude (rad), height (m) and velocity (m/s) of each fix, with the sigmas that the receiver states."""
+    gnss = require_gnss(log, name)
+    z = np.column_stack([gnss.lat, gnss.lon, gnss.h, gnss.v_n])[:, part]
+    r = np.maximum(gnss.measurement_std(), MINIMUM_STD)[:, part] ** 2
+    return Measurements(gnss.t - gnss.spec.latency_s, z, r, antenna_parameters(gnss, columns))
+
+
+def antenna_parameters(gnss: GnssFixes, columns: Columns) -> Array:
+    """Lever arm (3) and the gyro bias' column."""
+    return np.array([*gnss.spec.lever_arm_b, columns.get("gyro-bias", ABSENT)], dtype=float)
+
+
+@njit(cache=True, nogil=True)
+def skew_into(h, row, column, a):
+    """Write -[a x] at (row, column) of ``h``."""
+    set_entry(h, row, column + 1, a[2])
+    set_entry(h, row, column + 2, -a[1])
+    set_entry(h, row + 1, column, -a[2])
+    set_entry(h, row + 1, column + 2, a[0])
+    set_entry(h, row + 2, column, a[1])
+    set_entry(h, row + 2, column + 1, -a[0])
+
+
+@njit(cache=True, nogil=True)
+def place_of_antenna(state, parameters, z, residual, h, row):
+    """Rows ``row`` to ``row`` + 2: position north, east, down (m), from latitude, longitude and height in ``z`` there."""
+    lat, lon, height = triple(state, 0)
+    arm = matrix_rotate(quat_to_matrix(attitude(state)), triple(parameters, 0))
+    per_north, per_east = earth.metres_per_radian(lat, height)
+    antenna = (lat + arm[0] / per_north, lon + arm[1] / per_east, height - arm[2])
+    place = earth.position_difference(
+        get(z, row), get(z, row + 1), get(z, row + 2), antenna[0], antenna[1], antenna[2]
+    )
+    for i in range(3):
+        put(residual, row + i, place[i])
+        set_entry(h, row + i, i, 1.0)
+    skew_into(h, row, 6, arm)
+
+
+@njit(cache=True, nogil=True)
+def velocity_of_antenna(state, imu, parameters, z, residual, h, row):
+    """Rows ``row`` to ``row`` + 2: velocity north, east, down (m/s)."""
+    lever, m = triple(parameters, 0), quat_to_matrix(attitude(state))
+    arm = matrix_rotate(m, lever)
+    sweep = matrix_rotate(m, cross(triple(imu, 0), lever))
+    earth_n, _, earth_d = earth.earth_rate_n(get(state, 0))
+    drag = cross((earth_n, 0.0, earth_d), arm)
+    moving = (sweep[0] - drag[0], sweep[1] - drag[1], sweep[2] - drag[2])
+    for i in range(3):
+        put(residual, row + i, get(z, row + i) - (get(state, 3 + i) + moving[i]))
+        set_entry(h, row + i, 3 + i, 1.0)
+    skew_into(h, row, 6, moving)
+    first = int(parameters[GYRO_BIAS])
+    if first >= 0:
+        for j in range(3):
+            # A gyro bias error turns the sweep of the arm: C [l x], column by column.
+            column = cross(arm, (m[0][j], m[1][j], m[2][j]))
+            for i in range(3):
+                set_entry(h, row + i, first + j, column[i])
+
+
+def measure_fix(state, imu, parameters, z, residual, h):
+    place_of_antenna(state, parameters, z, residual, h, 0)
+    velocity_of_antenna(state, imu, parameters, z, residual, h, 3)
+
+
+def measure_place(state, imu, parameters, z, residual, h):
+    place_of_antenna(state, parameters, z, residual, h, 0)
+
+
+def measure_velocity(state, imu, parameters, z, residual, h):
+    velocity_of_antenna(state, imu, parameters, z, residual, h, 0)
+
+
+def places(log: SensorLog, columns: Columns) -> Measurements:
+    """Position alone."""
+    return fixes(log, columns, slice(0, 3))
+
+
+def velocities(log: SensorLog, columns: Columns) -> Measurements:
+    """Velocity alone."""
+    return fixes(log, columns, slice(3, 6))
+
+
+PLACE = ("north, m", "east, m", "down, m")
+VELOCITY = ("north, m/s", "east, m/s", "down, m/s")
+add_aiding(Aiding("gnss", "gnss", PLACE + VELOCITY, measure_fix, fixes, summary="position and velocity of each fix"))
+add_aiding(Aiding("gnss-position", "gnss", PLACE, measure_place, places, summary="position alone"))
+add_aiding(Aiding("gnss-velocity", "gnss", VELOCITY, measure_velocity, velocities, summary="velocity alone"))

@@ -1,0 +1,83 @@
+"""Blocks: sensor-error states that a filter may carry beside position, velocity and attitude.
+
+A block is names, what is known of its states at the start, the noise that drives them, how fast they return to a mean, and
+``couple(aux, imu, accel, gyro)``, a plain function that numba can compile: it writes into ``accel`` and ``gyro`` (k,3) what
+one unit of each of its k states adds to specific force (m/s²) and angular rate (rad/s) along b; ``aux`` (k,) are the states,
+``imu`` (6,) the sample, angular rate first. Arrays are read and written through `get` and `put` of `estimators.core.lanes`.
+Sensor-error states are "measured minus true", SI units and radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.errors import InputError, nearest
+from testbed.records import SensorLog
+
+Array = NDArray[np.float64]
+
+
+class Process(NamedTuple):
+    """What a log's specification promises about the k states of a block: first-order Markov processes."""
+
+    start: Array
+    """(k,) mean at the start."""
+    covariance: Array
+    """(k,k) at the start."""
+    drive: Array
+    """(k,) spectral densities of the driving noise."""
+    decay: Array
+    """(k,) inverse correlation times, 1/s; 0: a random walk, or a constant without ``drive``."""
+    centre: Array
+    """(k,) what the states return to."""
+
+
+def constant(std: Array) -> Process:
+    """States that are drawn once with standard deviations ``std`` (k,) around zero."""
+    zero = np.zeros(len(std))
+    return Process(zero, np.diag(np.square(std)), zero, zero, zero)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block under the name that a composition calls it by."""
+
+    name: str
+    states: tuple[str, ...]
+    process: Callable[[SensorLog], Process]
+    """What the log says of the states. Raises InputError where the log lacks the sensor."""
+    adds_to: Literal["accel", "gyro", ""] = ""
+    """Which triad the states add to."""
+    couple: Callable[..., None] | None = None
+    follows_imu: bool = False
+    """Whether ``couple`` depends on the sample and must be called with each of them."""
+    summary: str = ""
+
+
+BLOCKS: dict[str, Block] = {}
+
+
+def add_block(block: Block) -> Block:
+    """Make a block known by its name."""
+    BLOCKS[block.name] = block
+    return block
+
+
+def find_block(name: str) -> Block:
+    """The block of this name. Raises InputError with the nearest name."""
+    from estimators.blocks import imu, sensors
+
+    assert imu and sensors
+    if name not in BLOCKS:
+        raise InputError(f"no block of states is called '{name}'; {nearest(name, BLOCKS)}")
+    return BLOCKS[name]
+
+
+def per_axis(pattern: str, axes: Any = "xyz") -> tuple[str, ...]:
+    """Names of states by axis."""
+    return tuple(pattern.format(axis) for axis in axes)

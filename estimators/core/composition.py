@@ -1,0 +1,283 @@
+"""From names of parts and a log to a filter that can run: `compose`, and what a run leaves behind as a `NavSolution`.
+
+Order of the sensor-error states: blocks that add to specific force, blocks that add to angular rate, all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.aiding import Aiding, Measurements, find_aiding
+from estimators.blocks import Block, find_block
+from estimators.blocks.imu import white_density
+from estimators.core import calls
+from estimators.core.calls import address
+from estimators.core.filter import AUX, INVARIANT, PHI, Blocks, Events, Inputs, Model, Recording, Work
+from estimators.core.lanes import WIDTH, aligned
+from estimators.core.propagate import NAV, Coupling, make_covariance, make_covariances
+from estimators.core.timeline import Timeline, make_timeline
+from estimators.policies import chosen_policy
+from testbed.errors import InputError, nearest
+from testbed.records import STATE_NAMES, SensorLog
+
+Array = NDArray[np.float64]
+
+ERRORS = {"phi": PHI, "invariant": INVARIANT}
+SNAPSHOT_INTERVAL_S = 1.0
+
+
+@dataclass(frozen=True)
+class Composition:
+    """Names of the parts of a filter, as a scenario gives them."""
+
+    states: tuple[str, ...] = ("accel-bias", "gyro-bias")
+    aiding: tuple[str, ...] = ("gnss",)
+    policy: Any = "plain"
+    """One for all aidings, or a table with one per aiding."""
+    error: str = "phi"
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Options of an aiding, by its name."""
+
+    def blocks(self) -> list[Block]:
+        """The blocks in the order of their states. Raises InputError for a name that is unknown or given twice."""
+        return sorted((find_block(name) for name in _once(self.states, "states")), key=_group)
+
+    def aidings(self) -> list[Aiding]:
+        """Raises InputError for a name that is unknown, given twice, or lacks a block that it needs."""
+        found = [find_aiding(name) for name in _once(self.aiding, "aiding")]
+        for aiding in found:
+            for need in aiding.needs:
+                if need not in self.states:
+                    raise InputError(f"the aiding '{aiding.name}' needs the block '{need}' among the states")
+        for name in self.options:
+            if name not in self.aiding:
+                raise InputError(f"options: '{name}' is no aiding of this filter; {nearest(name, self.aiding)}")
+        return found
+
+    def error_code(self) -> int:
+        """Raises InputError for an unknown error definition."""
+        if self.error not in ERRORS:
+            raise InputError(f"error = '{self.error}'; {nearest(self.error, ERRORS)}")
+        return ERRORS[self.error]
+
+
+def _once(names: Sequence[str], key: str) -> Sequence[str]:
+    for name in names:
+        if list(names).count(name) > 1:
+            raise InputError(f"{key}: '{name}' is given twice")
+    return names
+
+
+def _group(block: Block) -> int:
+    return ("accel", "gyro", "").index(block.adds_to)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A log as the parts of a filter see it: all numbers that a run starts from, and none that it changes.
+
+    ``states``: names of the n error states; ``start`` (10+k,) nominal state; ``covariance`` (n,n); ``q_white`` (6,) and
+    ``drive`` (k,) spectral densities; ``measurements`` per aiding; ``events`` (E,2) aiding and its sample, by time.
+    """
+
+    composition: Composition
+    log: SensorLog
+    blocks: list[Block]
+    aidings: list[Aiding]
+    states: tuple[str, ...]
+    start: Array
+    covariance: Array
+    white: Array
+    drive: Array
+    decay: Array
+    centre: Array
+    measurements: list[Measurements]
+    event_t: Array
+    events: NDArray[np.int64]
+
+
+def prepare(composition: Composition, log: SensorLog) -> Prepared:
+    """Raises InputError where the composition is not sound or the log lacks what it needs."""
+    blocks, aidings = composition.blocks(), composition.aidings()
+    composition.error_code()
+    processes = [block.process(log) for block in blocks]
+    sizes = [len(block.states) for block in blocks]
+    firsts = NAV + np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+    columns = {block.name: int(first) for block, first in zip(blocks, firsts, strict=False)}
+    initial, spec = log.initial, log.imu.spec
+    covariance = np.zeros((firsts[-1], firsts[-1]))
+    covariance[:NAV, :NAV] = np.diag(np.asarray(initial.std, dtype=float)[:NAV] ** 2)
+    for first, size, process in zip(firsts, sizes, processes, strict=False):
+        covariance[first : first + size, first : first + size] = process.covariance
+    dt = (log.imu.t[-1] - initial.t) / len(log.imu.t)
+    measurements = [a.samples(log, columns, **composition.options.get(a.name, {})) for a in aidings]
+    event_t, events = _in_order(measurements)
+    nav = [[initial.lat, initial.lon, initial.h], initial.v_n, initial.q_nb]
+    return Prepared(
+        composition,
+        log,
+        blocks,
+        aidings,
+        (*STATE_NAMES[:NAV], *(name for block in blocks for name in block.states)),
+        np.concatenate([*nav, *(p.start for p in processes)]).astype(float),
+        covariance,
+        np.repeat([white_density(spec.accel, dt), white_density(spec.gyro, dt)], 3),
+        *(np.concatenate([np.zeros(0), *(p[i] for p in processes)]) for i in (2, 3, 4)),
+        measurements,
+        event_t,
+        events,
+    )
+
+
+def _in_order(measurements: Sequence[Measurements]) -> tuple[Array, NDArray[np.int64]]:
+    """Times of all samples in order, and for each its aiding and its row there; at one time in the order of the aidings."""
+    t = np.concatenate([np.zeros(0), *(m.t for m in measurements)])
+    index = [np.column_stack([np.full(len(m.t), k), np.arange(len(m.t))]) for k, m in enumerate(measurements)]
+    order = np.argsort(t, kind="stable")
+    return t[order], np.concatenate([np.zeros((0, 2), dtype=np.int64), *index])[order].astype(np.int64)
+
+
+def make_timeline_of(prepared: Prepared) -> Timeline:
+    """The time line of the prepared log."""
+    return make_timeline(prepared.log.initial.t, prepared.log.imu.t, prepared.event_t)
+
+
+def make_model(prepared: Prepared, keep: Any) -> Model:
+    """A single filter, at its start."""
+    p, scratch = make_covariance(prepared.covariance)
+    k, m, n = len(prepared.drive), _rows(prepared), len(prepared.states)
+    blocks = _blocks(prepared, np.zeros((k, 3)), np.zeros((k, 3)), calls.COUPLE)
+    work = [np.zeros(size) for size in (6, 6, 6, m, m, m * m, (m, n), n, (4, n), 1)]
+    coupling = Coupling(_spans(prepared), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
+    inputs = Inputs(_imu(prepared.log), prepared.white, prepared.drive, prepared.decay, prepared.centre)
+    events = _events(prepared, _stacked(prepared, 2), calls.MEASURE)
+    error = prepared.composition.error_code()
+    return Model(inputs, blocks, events, error, prepared.start.copy(), p, scratch, coupling, Work(*work), keep)
+
+
+def make_lanes(prepared: Prepared, white: Array, drive: Array, r: Array, keep: Any) -> Model:
+    """`WIDTH` filters side by side that share the log: ``white`` (6,WIDTH), ``drive`` (k,WIDTH), ``r`` (E,m,WIDTH)."""
+    p, scratch = make_covariances(prepared.covariance)
+    k, m, n = len(prepared.drive), _rows(prepared), len(prepared.states)
+
+    def table(*shape: int) -> Array:
+        return aligned(int(np.prod(shape))).reshape(*shape, WIDTH)
+
+    blocks = _blocks(prepared, table(k, 3), table(k, 3), calls.COUPLE_LANES)
+    work = Work(*(table(*shape) for shape in ((6,), (6,), (6,), (m,), (m,), (m * m,), (m, n), (n,), (4, n))), np.zeros(1))
+    coupling = Coupling(_spans(prepared), table(k, 3), table(k, 3), np.zeros(k))
+    inputs = Inputs(_imu(prepared.log), white, drive, prepared.decay, prepared.centre)
+    state = table(AUX + k)
+    state[:] = prepared.start[:, None]
+    events = _events(prepared, r, calls.MEASURE_LANES)
+    return Model(inputs, blocks, events, prepared.composition.error_code(), state, p, scratch, coupling, work, keep)
+
+
+def _imu(log: SensorLog) -> Array:
+    return np.ascontiguousarray(np.hstack([log.imu.gyro, log.imu.accel]))
+
+
+def _rows(prepared: Prepared) -> int:
+    return max([1, *(len(a.channels) for a in prepared.aidings)])
+
+
+def _spans(prepared: Prepared) -> NDArray[np.int64]:
+    """First and last + 1 sensor-error state that add to specific force, then to angular rate."""
+    ends = np.cumsum([sum(len(b.states) for b in prepared.blocks if b.adds_to == kind) for kind in ("accel", "gyro")])
+    return np.array([0, ends[0], ends[0], ends[1]], dtype=np.int64)
+
+
+def _blocks(prepared: Prepared, accel: Array, gyro: Array, signature: Any) -> Blocks:
+    """Couplings at rest filled in once; blocks that follow the IMU are left for the loop."""
+    couples, places, first = [], [], 0
+    for block in prepared.blocks:
+        last = first + len(block.states)
+        if block.couple is not None and block.follows_imu:
+            couples.append(address(block.couple, signature))
+            places.append((first, last))
+        elif block.couple is not None:
+            _couple_once(block, accel[first:last], gyro[first:last])
+        first = last
+    return Blocks(np.array(couples, dtype=np.int64), np.array(places, dtype=np.int64).reshape(-1, 2), accel, gyro)
+
+
+def _couple_once(block: Block, accel: Array, gyro: Array) -> None:
+    """A coupling that does not change, by the compiled function."""
+    k = len(block.states)
+    plain = np.zeros((k, 3)), np.zeros((k, 3))
+    calls.couple_now(address(block.couple, calls.COUPLE), np.zeros(k), np.zeros(6), *plain)
+    for target, made in zip((accel, gyro), plain, strict=True):
+        target[...] = made if target.ndim == 2 else made[..., None]
+
+
+def _stacked(prepared: Prepared, column: int) -> Array:
+    """Measurements (1) or variances (2) of all events in order, (E,m); a shorter one is filled up with ones."""
+    out = np.ones((len(prepared.events), _rows(prepared)))
+    for k, measured in enumerate(prepared.measurements):
+        mine = prepared.events[:, 0] == k
+        values = measured[column][prepared.events[mine, 1]]
+        out[mine, : values.shape[1]] = values
+    return out
+
+
+def _events(prepared: Prepared, r: Array, signature: Any) -> Events:
+    aidings = prepared.aidings
+    count = len(aidings)
+    longest = max([1, *(len(m.parameters) for m in prepared.measurements)])
+    parameters = np.zeros((count, longest))
+    for k, measured in enumerate(prepared.measurements):
+        parameters[k, : len(measured.parameters)] = measured.parameters
+    policies, memories = np.zeros(count, dtype=np.int64), [np.zeros(1)]
+    for k, aiding in enumerate(aidings):
+        policy, options = policy_of(prepared.composition, aiding)
+        try:
+            memories.append(policy.memory(len(aiding.channels), **options))
+        except TypeError as error:
+            raise InputError(f"policy '{policy.name}' of the aiding '{aiding.name}': {error}") from None
+        policies[k] = address(policy.judge, calls.POLICY)
+    memory = np.zeros((count, max(len(m) for m in memories)))
+    for k, values in enumerate(memories[1:]):
+        memory[k, : len(values)] = values
+    return Events(
+        np.ascontiguousarray(prepared.events[:, 0]),
+        _stacked(prepared, 1),
+        r,
+        np.array([len(a.channels) for a in aidings], dtype=np.int64),
+        np.array([address(a.measure, signature) for a in aidings], dtype=np.int64),
+        parameters,
+        policies,
+        memory,
+    )
+
+
+def policy_of(composition: Composition, aiding: Aiding) -> tuple[Any, dict[str, Any]]:
+    """The policy of an aiding and its options. Raises InputError for a table that names something else."""
+    setting = composition.policy
+    if isinstance(setting, Mapping) and set(setting) & set(composition.aiding):
+        for name in setting:
+            if name not in composition.aiding:
+                raise InputError(f"policy: '{name}' is no aiding of this filter; {nearest(name, composition.aiding)}")
+        setting = setting.get(aiding.name, "plain")
+    return chosen_policy(setting)
+
+
+def make_recording(prepared: Prepared, stride: int = 1) -> Recording:
+    """Room for what a run leaves behind: every ``stride``-th sample, and covariances about once a second."""
+    t, n = prepared.log.imu.t, len(prepared.states)
+    every = min(len(t), max(1, round(SNAPSHOT_INTERVAL_S * (len(t) - 1) / (t[-1] - t[0]))))
+    rows, count, m = len(t) // stride, len(prepared.events), _rows(prepared)
+    return Recording(
+        stride,
+        np.empty((rows, len(prepared.start))),
+        np.empty((rows, n)),
+        every,
+        np.empty((len(t) // every, n, n)),
+        np.full((count, m), np.nan),
+        np.full((count, m, m), np.nan),
+        np.full(count, np.nan),
+    )

@@ -1,0 +1,489 @@
+"""The error-state filter: what begins, carries, corrects and records a composition of blocks, aidings and policies.
+
+Groves, 2nd ed., chapters 5 and 14. The nominal state is lat, lon, h, v_n, q_nb and the sensor-error states of the blocks, in
+that order; the error state is position (m), velocity and attitude (rotation vector) in n, then the same sensor-error
+states. SI units and radians. Kernels only, on floats or lanes; `estimators.core.composition` makes what they work on.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from estimators.core.calls import NOTHING, call_couple, call_couple_lanes, call_measure, call_measure_lanes, call_policy
+from estimators.core.lanes import entry, get, put, set_entry
+from estimators.core.nav_errors import coefficients
+from estimators.core.propagate import (
+    NAV,
+    Coupling,
+    Scratch,
+    add_noise,
+    propagate,
+    turn_position_errors,
+    turn_velocity_errors,
+)
+from estimators.core.timeline import steps
+from estimators.core.update import innovation_covariance, update
+from estimators.strapdown import advance, compensate, coning_sculling
+from testbed import earth
+from testbed.rotations import cross, matrix_rotate, quat_multiply, quat_normalize, quat_to_matrix, rotvec_to_quat
+
+Array = NDArray[np.float64]
+
+AUX = 10
+"""First sensor-error state in the nominal state."""
+PHI, INVARIANT = 0, 1
+"""Error definitions, see `retract`."""
+REJECTED = 0.0
+"""What a policy returns for an update that is not to be made."""
+
+
+class Inputs(NamedTuple):
+    """What moves the filter: recordings of the IMU and the noise that its specification promises."""
+
+    imu: Array
+    """(N,6) angular rate (rad/s) and specific force (m/s²), means over the intervals."""
+    white: Array
+    """(6,) spectral densities of accelerometer and gyro noise along b."""
+    drive: Array
+    """(k,) spectral densities of what drives the sensor-error states."""
+    decay: Array
+    """(k,) their inverse correlation times, 1/s."""
+    centre: Array
+    """(k,) what they return to."""
+
+
+class Blocks(NamedTuple):
+    """Where each block's states lie and what they add to the IMU."""
+
+    couples: NDArray[np.int64]
+    """(B,) addresses of the compiled ``couple`` of blocks whose coupling follows the IMU sample."""
+    places: NDArray[np.int64]
+    """(B,2) their first and last + 1 sensor-error state."""
+    accel: Array
+    """(k,3) what one unit of a state adds to specific force in b."""
+    gyro: Array
+    """(k,3) the same for angular rate."""
+
+
+class Events(NamedTuple):
+    """The samples of all aiding sensors in the order of time, and how each is used."""
+
+    kind: NDArray[np.int64]
+    """(E,) row of the aiding in the arrays below."""
+    z: Array
+    """(E,m) measurement."""
+    r: Array
+    """(E,m) noise variances."""
+    rows: NDArray[np.int64]
+    """(A,) length of an aiding's measurement."""
+    measures: NDArray[np.int64]
+    """(A,) addresses of the compiled ``measure``."""
+    parameters: Array
+    """(A,p) of each aiding."""
+    policies: NDArray[np.int64]
+    """(A,) addresses of the compiled ``policy``."""
+    memory: Array
+    """(A,q) of each policy, overwritten."""
+
+
+class Work(NamedTuple):
+    """Arrays that are overwritten in every step."""
+
+    whole: Array
+    """(6,) angle and velocity increments of the last whole sample."""
+    corrections: Array
+    """(6,) coning and sculling of the present one."""
+    clean: Array
+    """(6,) the present sample without its estimated errors."""
+    residual: Array
+    """(m,)"""
+    r: Array
+    """(m,)"""
+    s: Array
+    """(m * m,) innovation covariance."""
+    h: Array
+    """(m,n)"""
+    x: Array
+    """(n,) what an update adds to the state: minus the estimated error."""
+    scratch: Array
+    """(4,n)"""
+    dt: Array
+    """(1,) the step that the coupling's ``keep`` is of."""
+
+
+class Model(NamedTuple):
+    """An error-state filter on a log, for `estimators.core.timeline.walk`. ``keep`` says what a run leaves behind."""
+
+    inputs: Inputs
+    blocks: Blocks
+    events: Events
+    error: int
+    state: Array
+    """(10 + k,) or lanes, overwritten."""
+    p: Array
+    """Covariance, overwritten."""
+    propagation: Scratch
+    coupling: Coupling
+    work: Work
+    keep: Any
+    """A `Recording`, or another class with its own ``note_update`` and ``note_sample``."""
+
+
+class Recording(NamedTuple):
+    """What a run leaves behind; row k // stride is the state after every measurement up to t[k]."""
+
+    stride: int
+    state: Array
+    """(N // stride, 10 + k)"""
+    std: Array
+    """(N // stride, n)"""
+    snapshot_stride: int
+    covariance: Array
+    """(K,n,n)"""
+    innovation: Array
+    """(E,m), NaN where an event lies outside of the IMU's time"""
+    innovation_covariance: Array
+    """(E,m,m)"""
+    fading: Array
+    """(E,) what the policy returned: 1 a plain update, `REJECTED` none, more a faded covariance"""
+
+
+def note_update(keep, model, e, count, fading):
+    """Keep event ``e``, of ``count`` rows, before the state changes. Kernels only."""
+    raise NotImplementedError("kernels only")
+
+
+def note_sample(keep, model, k):
+    """Keep the state after IMU sample ``k``. Kernels only."""
+    raise NotImplementedError("kernels only")
+
+
+@overload(note_update)
+def _note_update(keep, model, e, count, fading):
+    return _KEEPERS[keep.instance_class][0]
+
+
+@overload(note_sample)
+def _note_sample(keep, model, k):
+    return _KEEPERS[keep.instance_class][1]
+
+
+_KEEPERS: dict[type, tuple[Any, Any]] = {}
+
+
+def keeper(kind: type, update_noted: Any, sample_noted: Any) -> None:
+    """Tie two plain functions, compiled where they are used, to a class of what a run leaves behind."""
+    _KEEPERS[kind] = (update_noted, sample_noted)
+
+
+def _record_update(keep, model, e, count, fading):
+    innovation, covariance, residual, s = keep.innovation, keep.innovation_covariance, model.work.residual, model.work.s
+    for a in range(count):
+        innovation[e, a] = residual[a]
+        for b in range(count):
+            covariance[e, a, b] = s[a * count + b]
+    keep.fading[e] = fading
+
+
+def _record_sample(keep, model, k):
+    state, p, states, std = model.state, model.p, keep.state, keep.std
+    if (k + 1) % keep.stride == 0:
+        row = k // keep.stride
+        for i in range(state.shape[0]):
+            states[row, i] = state[i]
+        for i in range(p.shape[0]):
+            std[row, i] = np.sqrt(p[i, i])
+    if (k + 1) % keep.snapshot_stride == 0:
+        snapshot = keep.covariance[k // keep.snapshot_stride]
+        for i in range(p.shape[0]):
+            for j in range(p.shape[0]):
+                snapshot[i, j] = p[i, j]
+
+
+keeper(Recording, _record_update, _record_sample)
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def triple(array, first):
+    """Three numbers of a row."""
+    return get(array, first), get(array, first + 1), get(array, first + 2)
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def put_triple(array, first, a):
+    """Set three numbers of a row."""
+    put(array, first, a[0])
+    put(array, first + 1, a[1])
+    put(array, first + 2, a[2])
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def scaled(a, factor):
+    """A triple times a number."""
+    return (a[0] * factor, a[1] * factor, a[2] * factor)
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def attitude(state):
+    """q_nb of a nominal state."""
+    return get(state, 6), get(state, 7), get(state, 8), get(state, 9)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def mean_matrix(a, b):
+    """Mean of two matrices of nested tuples: C_nb in the middle of a step, to second order."""
+    return (
+        (0.5 * (a[0][0] + b[0][0]), 0.5 * (a[0][1] + b[0][1]), 0.5 * (a[0][2] + b[0][2])),
+        (0.5 * (a[1][0] + b[1][0]), 0.5 * (a[1][1] + b[1][1]), 0.5 * (a[1][2] + b[1][2])),
+        (0.5 * (a[2][0] + b[2][0]), 0.5 * (a[2][1] + b[2][1]), 0.5 * (a[2][2] + b[2][2])),
+    )
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def begin(model, k, whole):
+    """Open IMU sample ``k``: its coupling, and the coning and sculling of its whole interval (s)."""
+    clean, before, corrections = model.work.clean, model.work.whole, model.work.corrections
+    _couple_blocks(model, k)
+    _clean(model, k)
+    angle, velocity = scaled(triple(clean, 0), whole), scaled(triple(clean, 3), whole)
+    coning, sculling = coning_sculling(angle, velocity, triple(before, 0), triple(before, 3))
+    put_triple(before, 0, angle)
+    put_triple(before, 3, velocity)
+    put_triple(corrections, 0, coning)
+    put_triple(corrections, 3, sculling)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def predict(model, k, dt, part):
+    """Carry state and covariance ``dt`` (s) on within IMU sample ``k``, ``part`` of its interval."""
+    state, clean, corrections = model.state, model.work.clean, model.work.corrections
+    decay, centre, keep, last_dt = model.inputs.decay, model.inputs.centre, model.coupling.keep, model.work.dt
+    _clean(model, k)
+    rotation, change = compensate(
+        scaled(triple(clean, 0), dt),
+        scaled(triple(clean, 3), dt),
+        scaled(triple(corrections, 0), part),
+        scaled(triple(corrections, 3), part),
+    )
+    lat, lon, h = triple(state, 0)
+    v, q = triple(state, 3), attitude(state)
+    rates = coefficients(lat, h, v)
+    lat, lon, h, v_end, q_end, force = advance(lat, lon, h, v, q, rotation, change, dt)
+    put_triple(state, 0, (lat, lon, h))
+    put_triple(state, 3, v_end)
+    for i in range(4):
+        put(state, 6 + i, q_end[i])
+    if dt != last_dt[0]:
+        last_dt[0] = dt
+        for i in range(decay.shape[0]):
+            keep[i] = np.exp(-dt * decay[i])
+    for i in range(decay.shape[0]):
+        put(state, AUX + i, centre[i] + keep[i] * (get(state, AUX + i) - centre[i]))
+    middle = mean_matrix(quat_to_matrix(q), quat_to_matrix(q_end))
+    spans = model.coupling.spans
+    _turn(middle, model.blocks.accel, model.coupling.accel, spans[0], spans[1])
+    _turn(middle, model.blocks.gyro, model.coupling.gyro, spans[2], spans[3])
+    propagate(model.p, model.propagation, model.coupling, (rates, force, v), dt)
+    add_noise(model.p, middle, model.inputs.white, model.inputs.drive, dt)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def correct(model, k, e):
+    """Use event ``e`` at the present state, which lies within IMU sample ``k``."""
+    events, x, p = model.events, model.work.x, model.p
+    kind = events.kind[e]
+    count = events.rows[kind]
+    residual, h, r = model.work.residual[:count], model.work.h[:count], model.work.r[:count]
+    variances = events.r[e]
+    _clean(model, k)
+    for a in range(count):
+        put(r, a, get(variances, a))
+        for i in range(h.shape[1]):
+            set_entry(h, a, i, 0.0)
+    _measure(model, kind, e, residual, h)
+    fading = _judge(model, kind, residual, h, r)
+    note_update(model.keep, model, e, count, fading)
+    if fading == REJECTED:
+        return
+    for i in range(h.shape[1]):
+        put(x, i, 0.0)
+    update(x, p, residual, h, r, model.work.scratch)
+    retract(model)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def record(model, k):
+    """Keep what is known at the end of IMU sample ``k``."""
+    note_sample(model.keep, model, k)
+
+
+steps(Model, begin, predict, correct, record)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def retract(model):
+    """Add the correction ``x`` to the nominal state and carry P to where that moves it.
+
+    What stays Gaussian while an attitude error of many degrees shrinks is the velocity error without what the attitude
+    error makes of the velocity, dv - phi x v (Barrau and Bonnabel, IEEE TAC 2017; python-ins' modified phi-angle model).
+    Held fixed over the correction, it lets dv gain phi x (change of v). `PHI` stops there. `INVARIANT` takes the whole
+    right-invariant error of SE2(3): position errors likewise gain phi x (change of position), and the correction is the
+    group's exponential, so that turning the attitude turns the velocity with it. Its coordinates are those of `PHI` times
+    a matrix that follows the trajectory, so propagation and H need no second form.
+    """
+    state, x = model.state, model.work.x
+    n = model.work.h.shape[1]
+    lat, lon, h = triple(state, 0)
+    place, v, turn = triple(x, 0), triple(x, 3), triple(x, 6)
+    if model.error == INVARIANT:
+        place, v = _exponential(triple(state, 3), place, v, turn)
+    per_north, per_east = earth.metres_per_radian(lat, h)
+    q = quat_normalize(quat_multiply(rotvec_to_quat(turn), attitude(state)))
+    put_triple(state, 0, (lat + place[0] / per_north, lon + place[1] / per_east, h - place[2]))
+    for i in range(3):
+        put(state, 3 + i, get(state, 3 + i) + v[i])
+    for i in range(4):
+        put(state, 6 + i, q[i])
+    for i in range(n - NAV):
+        put(state, AUX + i, get(state, AUX + i) + get(x, NAV + i))
+    if model.error == INVARIANT:
+        turn_position_errors(model.p, n, place)
+    turn_velocity_errors(model.p, n, v)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def _exponential(v_n, place, v, turn):
+    """Changes of position and velocity by the exponential of SE2(3), its origin at the present position.
+
+    ``place``, ``v``, ``turn``: the correction in the coordinates of `PHI`. The left Jacobian is taken to third order in
+    the angle: at 60 degrees it is right to a per cent, which the next update sees as noise.
+    """
+    tilted = cross(turn, v_n)
+    change = (v[0] - tilted[0], v[1] - tilted[1], v[2] - tilted[2])
+    m = quat_to_matrix(rotvec_to_quat(turn))
+    turned = matrix_rotate(m, v_n)
+    push = _jacobian_times(turn, change)
+    v_end = (turned[0] - v_n[0] + push[0], turned[1] - v_n[1] + push[1], turned[2] - v_n[2] + push[2])
+    return _jacobian_times(turn, place), v_end
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def _jacobian_times(turn, a):
+    """Left Jacobian of SO(3) times a triple: 1 + 1/2 [t x] + (1/6 - t²/120) [t x]² (Sola, arXiv:1711.02508, eq. 145)."""
+    once = cross(turn, a)
+    twice = cross(turn, once)
+    square = turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2]
+    first, second = 0.5 - square * (1.0 / 24.0), 1.0 / 6.0 - square * (1.0 / 120.0)
+    return (
+        a[0] + first * once[0] + second * twice[0],
+        a[1] + first * once[1] + second * twice[1],
+        a[2] + first * once[2] + second * twice[2],
+    )
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _clean(model, k):
+    """The IMU sample without its estimated errors, into ``work.clean``."""
+    spans, clean, state, imu = model.coupling.spans, model.work.clean, model.state, model.inputs.imu[k]
+    accel, gyro = model.blocks.accel, model.blocks.gyro
+    for i in range(3):
+        rate, force = get(imu, i) + 0.0 * get(state, 0), get(imu, 3 + i) + 0.0 * get(state, 0)
+        for j in range(spans[2], spans[3]):
+            rate = rate - entry(gyro, j, i) * get(state, AUX + j)
+        for j in range(spans[0], spans[1]):
+            force = force - entry(accel, j, i) * get(state, AUX + j)
+        put(clean, i, rate)
+        put(clean, 3 + i, force)
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _turn(m, in_b, in_n, first, last):
+    """Couplings of states ``first`` to ``last`` from b to n."""
+    for j in range(first, last):
+        a = matrix_rotate(m, (entry(in_b, j, 0), entry(in_b, j, 1), entry(in_b, j, 2)))
+        for i in range(3):
+            set_entry(in_n, j, i, a[i])
+
+
+def _couple_blocks(model, k):
+    raise NotImplementedError("kernels only")
+
+
+def _measure(model, kind, e, residual, h):
+    raise NotImplementedError("kernels only")
+
+
+def _judge(model, kind, residual, h, r):
+    raise NotImplementedError("kernels only")
+
+
+@overload(_couple_blocks)
+def _couple(model, k):
+    call = call_couple if _is_single(model) else call_couple_lanes
+
+    def couple(model, k):
+        blocks = model.blocks
+        for b in range(blocks.couples.shape[0]):
+            i, j = blocks.places[b, 0], blocks.places[b, 1]
+            aux = model.state[AUX + i : AUX + j]
+            call(blocks.couples[b], (aux, model.inputs.imu[k], blocks.accel[i:j], blocks.gyro[i:j]))
+
+    return couple
+
+
+@overload(_measure)
+def _take_measure(model, kind, e, residual, h):
+    call = call_measure if _is_single(model) else call_measure_lanes
+
+    def measure(model, kind, e, residual, h):
+        events = model.events
+        arguments = (model.state, model.work.clean, events.parameters[kind], events.z[e], residual, h)
+        call(events.measures[kind], arguments)
+
+    return measure
+
+
+@overload(_judge)
+def _call_judge(model, kind, residual, h, r):
+    if not _is_single(model):
+        return _judge_lanes
+    return _judge_single
+
+
+def _judge_single(model, kind, residual, h, r):
+    """Innovation covariance into ``work.s``; then the policy, which may change R, reject, or fade P."""
+    work, events = model.work, model.events
+    count = residual.shape[0]
+    s = work.s[: count * count].reshape((count, count))
+    innovation_covariance(model.p, h, r, s, work.scratch)
+    fading = 1.0
+    if events.policies[kind] != NOTHING:
+        fading = call_policy(events.policies[kind], (events.memory[kind], residual, s, r, h, model.p))
+        if fading > 1.0:
+            _fade(model.p, h.shape[1], fading)
+        if fading != REJECTED:
+            innovation_covariance(model.p, h, r, s, work.scratch)
+    return fading
+
+
+def _judge_lanes(model, kind, residual, h, r):
+    """Side by side all updates are plain ones."""
+    return 1.0
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def _fade(p, n, factor):
+    """P = factor P."""
+    for i in range(n):
+        for j in range(n):
+            p[i, j] *= factor
+
+
+def _is_single(model: Any) -> bool:
+    """Whether a model's numbers are floats."""
+    return bool(model[model.fields.index("state")].ndim == 1)

@@ -1,0 +1,241 @@
+"""P = Phi P Phi' + Q in place, for nine navigation errors and any number of sensor-error states. Kernels only.
+
+A sensor-error state fades by ``keep`` over the step and adds to specific force or angular rate through a column of
+``accel`` or ``gyro`` (k,3), in n. Only nine rows of Phi have structure, so P takes two passes of `nav_errors`: nine rows of
+Phi P, then nine columns of (Phi P) Phi'; the rest follows from symmetry. A single filter takes eight columns of P as lanes;
+filters that run side by side take a lane each.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from estimators.core.lanes import WIDTH, aligned, entry, get, load, put, set_entry, splat, store
+from estimators.core.nav_errors import nav_errors
+
+NAV = 9
+"""Errors of position, velocity and attitude, which every covariance begins with."""
+
+Array = NDArray[np.float64]
+
+
+class Coupling(NamedTuple):
+    """How the sensor-error states reach the navigation errors in this step."""
+
+    spans: NDArray[np.int64]
+    """(4,) first and last + 1 of the states that add to specific force, then of those that add to angular rate."""
+    accel: Array
+    """(k,3) what one unit of a state adds to specific force in n."""
+    gyro: Array
+    """(k,3) the same for angular rate."""
+    keep: Array
+    """(k,) exp(-dt/tau) of each state."""
+
+
+class Scratch(NamedTuple):
+    """Tables that a propagation overwrites."""
+
+    p: Array
+    """The covariance itself as a table of lanes."""
+    rows: Array
+    """Nine rows of Phi P."""
+    columns: Array
+    """The same transposed, (n,2 WIDTH); unused where filters run side by side."""
+    keep: Array
+    """``keep`` of every column of P; unused likewise."""
+
+
+def blocks_of(n: int) -> int:
+    """Vector registers that a row of n floats fills."""
+    return (n + WIDTH - 1) // WIDTH
+
+
+def make_covariance(p0: Array) -> tuple[Array, Scratch]:
+    """Covariance (n, whole registers) that starts as ``p0`` (n,n), and its scratch."""
+    n, blocks = len(p0), blocks_of(len(p0))
+    table = aligned(n * blocks)
+    p = table.reshape(n, blocks * WIDTH)
+    p[:, :n] = p0
+    keep = aligned(blocks)
+    keep[:] = 1.0
+    return p, Scratch(table, aligned(NAV * blocks), aligned(2 * n), keep)
+
+
+def make_covariances(p0: Array) -> tuple[Array, Scratch]:
+    """Covariances (n,n,WIDTH) of filters side by side, all of which start as ``p0`` (n,n), and their scratch."""
+    n = len(p0)
+    table = aligned(n * n)
+    table[:] = p0.reshape(-1, 1)
+    return table.reshape(n, n, WIDTH), Scratch(table, aligned(NAV * n), aligned(1), aligned(1))
+
+
+def propagate(p, scratch, coupling, motion, dt):
+    """Carry P over a step of ``dt``; ``motion`` as `nav_errors` takes it. Kernels only."""
+    raise NotImplementedError("kernels only")
+
+
+@overload(propagate)
+def _propagate(p, scratch, coupling, motion, dt):
+    if p.ndim == 2:
+        return lambda p, scratch, coupling, motion, dt: _columns_as_lanes(p, scratch, coupling, motion, dt)
+    return lambda p, scratch, coupling, motion, dt: _filters_as_lanes(p, scratch, coupling, motion, dt)
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _triple(table, row, step):
+    return load(table, row), load(table, row + step), load(table, row + 2 * step)
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _store_errors(table, row, step, errors):
+    r, u, p = errors
+    for i in range(3):
+        store(table, row + i * step, r[i])
+        store(table, row + (3 + i) * step, u[i])
+        store(table, row + (6 + i) * step, p[i])
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _added(source, first, step, weights, start, stop):
+    """Triple of sums over states ``start`` to ``stop`` of their weights times rows ``first + step * state``."""
+    a, b, c = splat(0.0), splat(0.0), splat(0.0)
+    for k in range(start, stop):
+        x = load(source, first + (NAV + k) * step)
+        a = a + entry(weights, k, 0) * x
+        b = b + entry(weights, k, 1) * x
+        c = c + entry(weights, k, 2) * x
+    return a, b, c
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _moved(source, first, step, coupling, motion, dt):
+    """The nine errors in rows ``first + step * state`` after the step; ``coupling`` = (spans, accel, gyro)."""
+    spans, accel, gyro = coupling
+    force = _added(source, first, step, accel, spans[0], spans[1])
+    rate = _added(source, first, step, gyro, spans[2], spans[3])
+    three = 3 * step
+    errors = _triple(source, first, step), _triple(source, first + three, step), _triple(source, first + 2 * three, step)
+    return nav_errors(errors, rate, force, motion, dt)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def _columns_as_lanes(p, scratch, coupling, motion, dt):
+    n, keep, table, fade = p.shape[0], coupling.keep, scratch.p, scratch.keep
+    blocks = p.shape[1] // WIDTH
+    moved_rows, moved_columns = scratch.rows, scratch.columns
+    rows, columns = moved_rows.reshape(NAV, p.shape[1]), moved_columns.reshape(n, 2 * WIDTH)
+    couples = coupling.spans, coupling.accel, coupling.gyro
+    for b in range(blocks):
+        _store_errors(moved_rows, b, blocks, _moved(table, b, blocks, couples, motion, dt))
+    for j in range(n):
+        for i in range(NAV):
+            columns[j, i] = rows[i, j]
+    for i in range(NAV, n):
+        fade[i // WIDTH, i % WIDTH] = keep[i - NAV]
+    for i in range(NAV, n):
+        for b in range(1, blocks):
+            store(table, i * blocks + b, load(table, i * blocks + b) * (keep[i - NAV] * load(fade, b)))
+    for b in range(2):
+        _store_errors(table, b, blocks, _moved(moved_columns, b, 2, couples, motion, dt))
+    for i in range(NAV):
+        for j in range(i):
+            p[i, j] = p[j, i]
+    for j in range(NAV, n):
+        for i in range(NAV):
+            x = columns[j, i] * keep[j - NAV]
+            p[j, i] = x
+            p[i, j] = x
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def _filters_as_lanes(p, scratch, coupling, motion, dt):
+    n, keep, table, rows = p.shape[0], coupling.keep, scratch.p, scratch.rows
+    couples = coupling.spans, coupling.accel, coupling.gyro
+    for j in range(n):
+        # By symmetry of P a row serves as column.
+        _store_errors(rows, j, n, _moved(table, n * j, 1, couples, motion, dt))
+    for i in range(NAV):
+        _store_errors(table, n * i, 1, _moved(rows, n * i, 1, couples, motion, dt))
+    for i in range(NAV):
+        for j in range(i):
+            store(table, n * i + j, load(table, n * j + i))
+        for j in range(NAV, n):
+            x = load(rows, n * i + j) * keep[j - NAV]
+            store(table, n * i + j, x)
+            store(table, n * j + i, x)
+    for i in range(NAV, n):
+        for j in range(NAV, n):
+            store(table, n * i + j, load(table, n * i + j) * (keep[i - NAV] * keep[j - NAV]))
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def add_noise(p, m, white, drive, dt):
+    """Add the noise of one step of ``dt`` to P, ``m`` = C_nb; numbers or lanes.
+
+    ``white`` (6,): spectral densities along b of accelerometer noise ((m/s²)²/Hz) and gyro noise ((rad/s)²/Hz); ``drive``
+    (k,): those that drive the sensor-error states. Velocity noise reaches the position within the step (van Loan to third
+    order); all other cross terms are below dt² of what they join.
+    """
+    for i in range(3):
+        for j in range(i, 3):
+            accel = _density(m, white, 0, i, j) * dt
+            _add(p, i, j, accel * (dt * dt / 3.0))
+            _add(p, i, 3 + j, accel * (0.5 * dt))
+            if i != j:
+                _add(p, j, 3 + i, accel * (0.5 * dt))
+            _add(p, 3 + i, 3 + j, accel)
+            _add(p, 6 + i, 6 + j, _density(m, white, 3, i, j) * dt)
+    for i in range(drive.shape[0]):
+        _add(p, NAV + i, NAV + i, get(drive, i) * dt)
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _density(m, white, first, i, j):
+    """Entry (i,j) of C diag(white) C'."""
+    total = m[i][0] * m[j][0] * get(white, first) + m[i][1] * m[j][1] * get(white, first + 1)
+    return total + m[i][2] * m[j][2] * get(white, first + 2)
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _add(p, i, j, value):
+    """Add to entry (i,j), and to (j,i)."""
+    set_entry(p, i, j, entry(p, i, j) + value)
+    if i != j:
+        set_entry(p, j, i, entry(p, i, j))
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def turn_velocity_errors(p, n, change):
+    """P, of n states, after the velocity errors have gained phi x ``change`` (m/s); numbers or lanes."""
+    _gain(p, n, 3, change)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def turn_position_errors(p, n, change):
+    """P, of n states, after the position errors have gained phi x ``change`` (m); numbers or lanes."""
+    _gain(p, n, 0, change)
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _gain(p, n, first, change):
+    """Rows, then columns ``first`` to ``first`` + 2 of P gain phi x ``change``."""
+    for j in range(n):
+        north, east, down = entry(p, 6, j), entry(p, 7, j), entry(p, 8, j)
+        set_entry(p, first, j, entry(p, first, j) + (east * change[2] - down * change[1]))
+        set_entry(p, first + 1, j, entry(p, first + 1, j) + (down * change[0] - north * change[2]))
+        set_entry(p, first + 2, j, entry(p, first + 2, j) + (north * change[1] - east * change[0]))
+    for j in range(n):
+        north, east, down = entry(p, j, 6), entry(p, j, 7), entry(p, j, 8)
+        set_entry(p, j, first, entry(p, j, first) + (east * change[2] - down * change[1]))
+        set_entry(p, j, first + 1, entry(p, j, first + 1) + (down * change[0] - north * change[2]))
+        set_entry(p, j, first + 2, entry(p, j, first + 2) + (north * change[1] - east * change[0]))
+    for i in range(first, first + 3):
+        for j in range(n):
+            set_entry(p, j, i, entry(p, i, j))
+
+

@@ -1,0 +1,98 @@
+"""The one time line of a log: IMU samples, and between them the events of all other sensors, each at its own time.
+
+A filter is a NamedTuple of arrays, its *model*, and four kernels that `steps` ties to the model's class:
+
+- ``begin(model, k, whole)`` opens IMU sample k, whose interval lasts ``whole`` seconds;
+- ``predict(model, k, dt, part)`` carries the state ``dt`` seconds on within sample k, ``part`` = dt / whole of its interval;
+- ``correct(model, k, e)`` uses event e, which falls into the interval of sample k;
+- ``record(model, k)`` keeps what the filter knows at the end of sample k.
+
+`walk` calls them in the order of time, and may be called again to go on where it stopped. Times in seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numba.extending import overload
+from numpy.typing import NDArray
+
+SAME_TIME = 1e-7
+"""Times (s) closer than this are one: a step so short would only add rounding."""
+
+
+class Timeline(NamedTuple):
+    """Where a filter stands in a log. IMU sample k is the mean over (t[k-1], t[k]]."""
+
+    t: NDArray[np.float64]
+    """(N,) ends of the IMU intervals."""
+    event_t: NDArray[np.float64]
+    """(E,) times that the events describe, in order."""
+    now: NDArray[np.float64]
+    """(1,) time of the filter's state, overwritten."""
+    place: NDArray[np.int64]
+    """(2,) next IMU sample and next event, overwritten."""
+
+
+def make_timeline(start: float, t: NDArray[np.float64], event_t: NDArray[np.float64]) -> Timeline:
+    """The time line of a filter that starts at ``start``; events before it are passed over."""
+    first = int(np.searchsorted(event_t, start - SAME_TIME))
+    return Timeline(t, event_t, np.array([start], dtype=np.float64), np.array([0, first], dtype=np.int64))
+
+
+_STEPS: dict[type, tuple[Callable[..., Any], ...]] = {}
+
+
+def steps(
+    model: type,
+    begin: Callable[..., Any],
+    predict: Callable[..., Any],
+    correct: Callable[..., Any],
+    record: Callable[..., Any],
+) -> None:
+    """Tie four kernels to the NamedTuple class of a filter's model."""
+    _STEPS[model] = (begin, predict, correct, record)
+
+
+def _step(number: int) -> Any:
+    """A function that calls step ``number`` of whatever model it is given; chosen when it is compiled."""
+
+    def step(model, *rest):
+        raise NotImplementedError("kernels only")
+
+    @overload(step)
+    def choose(model, *rest):
+        kernel = _STEPS[model.instance_class][number]
+        return lambda model, *rest: kernel(model, *rest)
+
+    return step
+
+
+_begin, _predict, _correct, _record = (_step(number) for number in range(4))
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def walk(line, model, stop):
+    """Take ``model`` from its place on the ``line`` to the end of IMU sample ``stop`` - 1; later calls go on from there."""
+    t, event_t = line.t, line.event_t
+    now, e = line.now[0], line.place[1]
+    for k in range(line.place[0], stop):
+        whole = t[k] - now
+        _begin(model, k, whole)
+        while True:
+            has_event = e < event_t.shape[0] and event_t[e] <= t[k] + SAME_TIME
+            target = min(event_t[e], t[k]) if has_event else t[k]
+            dt = target - now
+            if dt > SAME_TIME:
+                _predict(model, k, dt, dt / whole)
+                now = target
+            if not has_event:
+                break
+            _correct(model, k, e)
+            e += 1
+        now = t[k]
+        _record(model, k)
+    line.now[0], line.place[0], line.place[1] = now, stop, e

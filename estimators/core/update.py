@@ -1,0 +1,108 @@
+"""Kalman measurement updates that keep the covariance symmetric and positive: sequential scalars in Joseph form.
+
+Bierman, *Factorization Methods for Discrete Sequential Estimation*, chapter II; Groves, 2nd ed., section 3.2. Kernels only,
+on floats or lanes (`estimators.core.lanes`); the units are those of the states and measurements that the caller hands in.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from estimators.core.lanes import entry, get, is_zero, put, set_entry
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def innovation_covariance(p, h, r, s, scratch):
+    """``s`` (m,m) = H P H' + diag(r): ``p`` (n,n or wider), ``h`` (m,n), ``r`` (m,); ``scratch`` (1 or more,n)."""
+    m, n = h.shape[0], h.shape[1]
+    for a in range(m):
+        _product(p, h, a, scratch, 0)
+        for b in range(a + 1):
+            total = get(r, a) if a == b else 0.0 * get(r, a)
+            for i in range(n):
+                if not is_zero(entry(h, b, i)):
+                    total = total + entry(h, b, i) * entry(scratch, 0, i)
+            set_entry(s, a, b, total)
+            set_entry(s, b, a, total)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def update(x, p, residual, h, r, scratch):
+    """Add to ``x`` (n,) and take from ``p`` (n,n or wider), in place, what ``residual`` = z - h(x) (m,) tells.
+
+    ``h`` (m,n) is the sensitivity, ``r`` (m,) the noise variances. The scalars follow one another, which is exact because R
+    is diagonal. ``scratch`` (4,n) is overwritten; its last row is the change of x.
+    """
+    m, n = h.shape[0], h.shape[1]
+    for i in range(n):
+        set_entry(scratch, 3, i, 0.0)
+    for a in range(m):
+        variance, left = get(r, a), get(residual, a)
+        _product(p, h, a, scratch, 0)
+        for i in range(n):
+            if not is_zero(entry(h, a, i)):
+                variance = variance + entry(h, a, i) * entry(scratch, 0, i)
+                left = left - entry(h, a, i) * entry(scratch, 3, i)
+        for i in range(n):
+            gain = entry(scratch, 0, i) / variance
+            set_entry(scratch, 1, i, gain)
+            set_entry(scratch, 3, i, entry(scratch, 3, i) + gain * left)
+        _joseph(p, h, a, get(r, a), scratch)
+    for i in range(n):
+        put(x, i, get(x, i) + entry(scratch, 3, i))
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _product(p, h, a, scratch, row):
+    """Row ``row`` of scratch = P h_a'; P is symmetric, so its rows serve as columns."""
+    n = h.shape[1]
+    for i in range(n):
+        set_entry(scratch, row, i, 0.0)
+    for j in range(n):
+        weight = entry(h, a, j)
+        if not is_zero(weight):
+            for i in range(n):
+                set_entry(scratch, row, i, entry(scratch, row, i) + weight * entry(p, j, i))
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _joseph(p, h, a, variance, scratch):
+    """P = (I - K h) P (I - K h)' + K r K' for one scalar measurement; rows of scratch: P h', K, then free."""
+    n = h.shape[1]
+    for i in range(n):
+        gain = entry(scratch, 1, i)
+        for j in range(n):
+            set_entry(p, i, j, entry(p, i, j) - gain * entry(scratch, 0, j))
+    for i in range(n):
+        set_entry(scratch, 2, i, 0.0)
+    for j in range(n):
+        weight = entry(h, a, j)
+        if not is_zero(weight):
+            for i in range(n):
+                set_entry(scratch, 2, i, entry(scratch, 2, i) + weight * entry(p, i, j))
+    for i in range(n):
+        rest = variance * entry(scratch, 1, i) - entry(scratch, 2, i)
+        for j in range(i + 1):
+            value = entry(p, i, j) + rest * entry(scratch, 1, j)
+            set_entry(p, i, j, value)
+            set_entry(p, j, i, value)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def cholesky(s, factor):
+    """Lower ``factor`` (m,m) with factor factor' = S, for a positive semidefinite S: a column without variance is zero."""
+    n = s.shape[0]
+    for j in range(n):
+        for i in range(j):
+            factor[i, j] = 0.0
+        pivot = s[j, j]
+        for k in range(j):
+            pivot -= factor[j, k] * factor[j, k]
+        root = np.sqrt(pivot) if pivot > 1e-14 * s[j, j] or np.isnan(pivot) else 0.0
+        factor[j, j] = root
+        for i in range(j + 1, n):
+            total = s[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            factor[i, j] = total / root if root != 0.0 else 0.0
