@@ -18,6 +18,7 @@ from testbed.records import (
     GnssFixes,
     ImuSamples,
     InitialState,
+    Innovations,
     MagSamples,
     NavSolution,
     SensorLog,
@@ -191,8 +192,8 @@ def figures(case: Case, solution: NavSolution) -> dict[str, dict[str, Array]]:
         sigma = _sigmas(solution)
         out["sigma"] = {name: sigma[name][rows] for name in case.states}
         out["covariance"] = _covariances(case, solution)
-    if solution.innovations is not None:
-        out["innovation"] = _innovations(solution)
+    for nu in solution.innovations.values():  # one aiding each, as recorded
+        out["innovation"] = _innovations(nu)
     for name in sorted(solution.extras):
         t, values = (np.asarray(x, dtype=float) for x in solution.extras[name])
         k = _spread(len(t), FEW)
@@ -237,7 +238,7 @@ def _states(case: Case, solution: NavSolution) -> dict[str, Array]:
 
 def _names(solution: NavSolution) -> tuple[str, ...]:
     """Of the columns of ``std`` and ``covariance``."""
-    return tuple(getattr(solution, "states", STATE_NAMES))
+    return solution.states
 
 
 def _sigmas(solution: NavSolution) -> dict[str, Array]:
@@ -258,10 +259,8 @@ def _covariances(case: Case, solution: NavSolution) -> dict[str, Array]:
     return {"t": solution.covariance_t[k], "sigma of the sum": total}
 
 
-def _innovations(solution: NavSolution) -> dict[str, Array]:
+def _innovations(nu: Innovations) -> dict[str, Array]:
     """Values and sigmas of each channel, and nu' S^-1 nu; NaN where a channel is not used."""
-    nu = solution.innovations
-    assert nu is not None
     k = _spread(len(nu.t), FEW)
     value, covariance = nu.value[k], nu.covariance[k]
     sigma = np.sqrt(np.einsum("kii->ki", covariance))
