@@ -18,7 +18,6 @@ from testbed.records import (
     GnssFixes,
     ImuSamples,
     InitialState,
-    Innovations,
     MagSamples,
     NavSolution,
     SensorLog,
@@ -192,8 +191,8 @@ def figures(case: Case, solution: NavSolution) -> dict[str, dict[str, Array]]:
         sigma = _sigmas(solution)
         out["sigma"] = {name: sigma[name][rows] for name in case.states}
         out["covariance"] = _covariances(case, solution)
-    for nu in solution.innovations.values():  # one aiding each, as recorded
-        out["innovation"] = _innovations(nu)
+    if solution.innovations:
+        out["innovation"] = _innovations(solution)
     for name in sorted(solution.extras):
         t, values = (np.asarray(x, dtype=float) for x in solution.extras[name])
         k = _spread(len(t), FEW)
@@ -238,7 +237,7 @@ def _states(case: Case, solution: NavSolution) -> dict[str, Array]:
 
 def _names(solution: NavSolution) -> tuple[str, ...]:
     """Of the columns of ``std`` and ``covariance``."""
-    return solution.states
+    return tuple(getattr(solution, "states", STATE_NAMES))
 
 
 def _sigmas(solution: NavSolution) -> dict[str, Array]:
@@ -259,12 +258,13 @@ def _covariances(case: Case, solution: NavSolution) -> dict[str, Array]:
     return {"t": solution.covariance_t[k], "sigma of the sum": total}
 
 
-def _innovations(nu: Innovations) -> dict[str, Array]:
+def _innovations(solution: NavSolution) -> dict[str, Array]:
     """Values and sigmas of each channel, and nu' S^-1 nu; NaN where a channel is not used."""
+    (nu,) = solution.innovations.values()
     k = _spread(len(nu.t), FEW)
     value, covariance = nu.value[k], nu.covariance[k]
     sigma = np.sqrt(np.einsum("kii->ki", covariance))
-    out = {"t": nu.t[k]}
+    out = {}
     for i in range(value.shape[1]):
         out |= {f"value {i}": value[:, i] / sigma[:, i], f"sigma {i}": sigma[:, i]}
     out["squared"] = np.array([v @ np.linalg.solve(s, v) for v, s in zip(value, covariance, strict=True)])
