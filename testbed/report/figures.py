@@ -113,6 +113,8 @@ def error_traces(
     axes = _panels(figure, len(quantities))
     for k, (label, frame) in enumerate(errors.items()):
         for ax, quantity in zip(axes, quantities, strict=True):
+            if frame[quantity].isna().all():  # an attitude filter says nothing of position
+                continue
             t = frame["time_s"].to_numpy()
             if label == band and f"sigma_{quantity}" in frame:
                 s = 3.0 * frame[f"sigma_{quantity}"].to_numpy()
@@ -184,12 +186,12 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
 def envelopes(table: pd.DataFrame, quantities: Sequence[str], outages: Spans = (), phases: Phases = ()) -> Figure:
     """RMS error over the runs (line) and the filter's own mean sigma (dotted): they meet when a filter is consistent."""
     figure = _figure(1.15 * len(quantities) + 0.8)
-    axes = _panels(figure, len(quantities))
+    axes, shown = _panels(figure, len(quantities)), list(dict.fromkeys(table["estimator"]))
     for ax, quantity in zip(axes, quantities, strict=True):
         rows = table[table["quantity"] == quantity]
         found = []
-        for k, (label, group) in enumerate(rows.groupby("estimator", sort=False)):
-            t, colour = group["time_s"].to_numpy(), COLOURS[k % len(COLOURS)][0]
+        for label, group in rows.groupby("estimator", sort=False):
+            t, colour = group["time_s"].to_numpy(), COLOURS[shown.index(label) % len(COLOURS)][0]
             found.append(group["rms"].to_numpy(dtype=float))
             ax.plot(t, group["rms"], color=colour, label=label)
             ax.plot(t, group["sigma"], color=colour, ls=":", lw=0.8)
@@ -276,10 +278,9 @@ def drawings(result: Result) -> dict[str, Drawing]:
         add("ground_track", "Ground track of run 0; broad grey: no GNSS.", ground_track, truth, estimates, spans)
         add("path_3d", "Path of run 0 in space.", path_3d, truth, estimates)
     for group, quantities in GROUPS.items():
-        have = {e: f for e, f in estimates.items() if f[quantities].notna().any(axis=None)}
-        if have:
+        if any(f[quantities].notna().any(axis=None) for f in estimates.values()):
             caption = f"{group} error of run 0 with ±3σ of {lead.winner}; shaded: no GNSS."
-            add(f"error_{group.lower()}", caption, error_traces, have, quantities, spans, phases, lead.winner)
+            add(f"error_{group.lower()}", caption, error_traces, estimates, quantities, spans, phases, lead.winner)
     if result.estimators:
         add("rmse", "Mean RMSE over the runs with 95 % intervals.", rmse_bars, result.summary, lines, lead.window)
     metrics = [f"rmse_{quantity}" for quantity in MAIN]

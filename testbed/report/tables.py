@@ -187,7 +187,7 @@ def consistency(result: Result) -> Table | None:
     kinds = frame.groupby("quantity")["dof"].nunique()
     columns = []
     for quantity in quantities:
-        expected = {f"{dof:g}" for dof in frame.loc[frame["quantity"] == quantity, "dof"]}
+        expected = {f"{dof:.3g}" for dof in frame.loc[frame["quantity"] == quantity, "dof"]}
         group = f"{quantity_label(quantity)} (expect {expected.pop() if len(expected) == 1 else 'as stated'})"
         columns += [
             Column("mean", group=group),
@@ -199,7 +199,7 @@ def consistency(result: Result) -> Table | None:
         for quantity in quantities:
             found = frame[(frame["estimator"] == label) & (frame["quantity"] == quantity)].to_dict("records")
             r = found[0] if found else {}
-            of = f"expect {r['dof']:g}, " if found and kinds[quantity] > 1 else ""
+            of = f"expect {r['dof']:.3g}, " if found and kinds[quantity] > 1 else ""
             bounds = f"{of}bounds {number(r['lower'])} to {number(r['upper'])}" if found else ""
             share = 100.0 * float(r.get("share_inside", math.nan))
             cells += [Cell(number(r.get("mean")), _value(r.get("mean")), bounds), Cell(percent(share), _value(share))]
