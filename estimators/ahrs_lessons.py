@@ -6,6 +6,7 @@ Flights are objects like `testbed.dataset.Shard`: ``rows``, ``window(start, rows
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -53,11 +54,9 @@ def write_lesson(
     path: Path,
     reference_error: NDArray[np.float64] | None = None,
 ) -> Lesson:
-    """Fly one flight and write its rows; a file that is there is kept. ``reference_error`` (3,), rad, turns the truth."""
+    """Fly one flight and write its rows. ``reference_error`` (3,), rad, turns the truth."""
     from estimators.ahrs_lstm_kernels import record_log
 
-    if path.exists():
-        return Lesson(path)
     log = flight.log()
     every = samples_per_step(weights, log)
     rows = np.empty((len(log.imu.t) // every, WIDTH), np.float32)
@@ -72,6 +71,12 @@ def write_lesson(
     rows.tofile(scratch)
     os.replace(scratch, path)
     return Lesson(path)
+
+
+def checksum_of(path: Path) -> str:
+    """SHA-256 of a file's content, in hexadecimal."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _gravity_b(flight: Any, gravity: float, error: NDArray[np.float64] | None) -> NDArray[np.float64]:

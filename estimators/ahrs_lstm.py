@@ -12,6 +12,7 @@ ordinary ones. Departures: the network steps at 5 Hz, not at each sample of 50 H
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.ahrs_kf import AhrsKf, Array, interval
+from estimators.networks.tensor_file import check_shapes, read_arrays
 from testbed.errors import InputError
 from testbed.records import NavSolution, SensorLog
 
@@ -64,6 +66,10 @@ class AhrsLstm:
     """A safetensors file; empty for the shipped one, ``untrained`` for a network that changes nothing."""
     name: ClassVar[str] = "ahrs-lstm"
 
+    def prepare(self, scenario: Any) -> None:
+        """Read the weights before a batch begins. Raises InputError when they are missing, damaged or something else."""
+        load_weights(self.weights)
+
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError without magnetometer or weights."""
         return solve_with(load_weights(self.weights), log)
@@ -102,18 +108,34 @@ def load_weights(weights: str) -> Weights:
     """Read a file of weights; "" is the shipped one. Raises InputError when it is missing or is something else."""
     if weights == UNTRAINED:
         return untrained_weights()
-    from safetensors import SafetensorError, safe_open
-
     path = Path(weights) if weights else SHIPPED
     if not path.is_file():
         raise InputError(f"ahrs-lstm: {path}: no such file; make the weights with: testbed train ahrs-lstm-2022")
     try:
-        with safe_open(path, framework="numpy") as file:
-            arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-            metadata = {key: json.loads(value) for key, value in (file.metadata() or {}).items()}
+        arrays, texts = read_arrays(path, "a file of its weights")
+        check_shapes(path, arrays, _shapes(arrays))
+        metadata = {key: json.loads(value) for key, value in texts.items()}
+        if metadata["activation"] not in ACTIVATIONS or not 0.0 < metadata["step_s"] < math.inf:
+            raise ValueError("activation and step_s of the network are not such")
+        if not (arrays["unit"] > 0.0).all():
+            raise ValueError("'unit' must be above 0")
+        AhrsKf(**metadata["filter"])
         return assemble(arrays, metadata)
-    except (SafetensorError, KeyError, ValueError) as error:
+    except InputError as error:
+        raise InputError(f"ahrs-lstm: {error}") from None
+    except (KeyError, ValueError, TypeError) as error:
         raise InputError(f"ahrs-lstm: {path}: not a file of its weights ({error})") from None
+
+
+def _shapes(arrays: dict[str, Any]) -> dict[str, tuple[int, ...]]:
+    """The shapes that a network as wide and as deep as ``arrays`` must have."""
+    n = len(arrays["input.bias"]) if "input.bias" in arrays and arrays["input.bias"].ndim == 1 else 0
+    layers = max(1, sum(key.startswith("lstm.weight_ih") for key in arrays))
+    shapes: dict[str, tuple[int, ...]] = {"centre": (90,), "unit": (90,), "input.weight": (n, 90), "input.bias": (n,)}
+    for k in range(layers):
+        shapes |= {f"lstm.weight_{part}_l{k}": (4 * n, n) for part in ("ih", "hh")}
+        shapes |= {f"lstm.bias_{part}_l{k}": (4 * n,) for part in ("ih", "hh")}
+    return shapes | {"head.weight": (72, n), "head.bias": (72,)}
 
 
 def assemble(arrays: dict[str, Any], metadata: dict[str, Any]) -> Weights:

@@ -93,7 +93,7 @@ def make_dataset(
     folder.mkdir(parents=True, exist_ok=True)
     key = dataset_key(scenario)
     manifest = folder / "manifest.json"
-    if manifest.exists() and json.loads(manifest.read_text()).get("key") != key:
+    if manifest.exists() and _read_manifest(manifest).get("key") != key:
         raise InputError(f"{folder}: holds the data set of another scenario; give another --out")
     entries = []
     for k in range(count):
@@ -258,7 +258,10 @@ def shard_meta(path: Path) -> dict[str, Any]:
         header = pq.read_schema(path).metadata or {}
     except (OSError, pa.ArrowInvalid) as error:
         raise InputError(f"{path}: not a readable shard ({error})") from None
-    return dict(json.loads(header.get(b"testbed", b"{}")))
+    try:
+        return dict(json.loads(header.get(b"testbed", b"{}")))
+    except (ValueError, TypeError):
+        raise InputError(f"{path}: its header is damaged; delete it and make the data set again") from None
 
 
 class Shard:
@@ -304,12 +307,26 @@ def open_dataset(folder: str | Path) -> tuple[list[Shard], list[Shard]]:
     manifest = folder / "manifest.json"
     if not manifest.is_file():
         raise InputError(f"{folder}: no data set (it has no manifest.json); make one with: testbed dataset SCENARIO")
-    entries = json.loads(manifest.read_text())["flights"]
+    entries = _read_manifest(manifest)["flights"]
 
     def split(name: str) -> list[Shard]:
         return [Shard(folder / entry["file"]) for entry in entries if entry["split"] == name]
 
     return split("train"), split("validation")
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    """The manifest of a data set. Raises InputError, which names it, where it is damaged or something else."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        whole = all(isinstance(e["file"], str) and e["split"] in ("train", "validation") for e in content["flights"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path}: not the manifest of a data set ({error!r:.80}); make it with: testbed dataset"
+        ) from None
+    if not whole or not isinstance(content.get("key"), str):
+        raise InputError(f"{path}: not the manifest of a data set; make it with: testbed dataset SCENARIO")
+    return dict(content)
 
 
 def _replace(path: Path, content: bytes) -> None:

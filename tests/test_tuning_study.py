@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from test_tuning_objective import deaf_filter
 
+from testbed import registry
 from testbed.errors import InputError
 from testbed.scenario import Scenario, load_scenario
 from testbed.tuning import tables, tune
@@ -163,6 +165,16 @@ def test_a_changed_filter_is_noticed(study, tmp_path):
     )
     with pytest.raises(InputError, match="have changed since"):
         tune.tune(scenario(), tmp_path / "s", jobs=1, resume=True)
+
+
+def test_constant_objective_is_refused(tmp_path, monkeypatch):
+    """A filter that ignores its parameters: 10 equal evaluations, no best, exit code 2."""
+    monkeypatch.setitem(registry._plugins, "deaf", deaf_filter())
+    made = scenario(algorithms=["pso"], innovation_search="none", iterations=[2])
+    made = made.model_copy(update={"estimators": [made.estimators[0].model_copy(update={"name": "deaf"})]})
+    with pytest.raises(InputError, match="for each of 10 candidates"):
+        tune.tune(made, tmp_path / "s", jobs=1)
+    assert not (tmp_path / "s" / "best").exists()
 
 
 def test_parameter_file_gives_the_stored_objective(study, tmp_path):

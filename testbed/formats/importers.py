@@ -90,7 +90,7 @@ class Raw:
         if raw.initial is not None:
             raw.t_start = raw.initial.t
         raw.imu = ImuSamples(t, gyro, accel, rate)
-        raw._add_aiding(tables, spec, tuple((float(a), float(b)) for a, b in stored.get("outages", [])))
+        raw._add_aiding(tables, spec, _stored_outages(stored, tables.folder))
         return raw
 
     def _add_aiding(self, tables: Any, spec: dict[str, Any], outages: tuple[tuple[float, float], ...]) -> None:
@@ -118,6 +118,8 @@ class Raw:
                 parts["baro"]["time"], parts["baro"]["pressure"], spec["baro"] or BaroSpec("unknown")
             )
         if (r := parts.get("reference")) is not None:
+            if len(r["time"]) < 3:
+                raise InputError(f"{tables.folder}: reference has {len(r['time'])} rows, at least 3 are needed")
             v_n = tables.block("reference", ["v_north", "v_east", "v_down"])
             self.motion = (r["time"], r["lat"], r["lon"], r["alt"], v_n, tables.quaternions())
 
@@ -206,7 +208,7 @@ def _cut_trajectory(trajectory: Trajectory, keep: NDArray[np.bool_]) -> Trajecto
 def _stored_spec(stored: dict[str, Any], kind: str, folder: Path) -> Any:
     try:
         return specs.from_dict(KINDS[kind], stored[kind]) if kind in stored else None
-    except (TypeError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder / 'log.json'}: {kind}: {error}") from None
 
 
@@ -217,6 +219,18 @@ def _stored_initial(stored: dict[str, Any], folder: Path) -> InitialState | None
         values: dict[str, Any] = {
             k: np.array(v) if isinstance(v, list) else float(v) for k, v in stored["initial"].items()
         }
+        if np.ndim(values.get("t", 0.0)):
+            raise ValueError("t must be a number of seconds")
         return InitialState(**values)
     except (TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder / 'log.json'}: initial: {error}") from None
+
+
+def _stored_outages(stored: dict[str, Any], folder: Path) -> tuple[tuple[float, float], ...]:
+    try:
+        pairs = tuple((float(a), float(b)) for a, b in stored.get("outages", []))
+    except (TypeError, ValueError):
+        pairs = ((np.inf, -np.inf),)
+    if not all(np.isfinite(pair).all() and pair[0] <= pair[1] for pair in pairs):
+        raise InputError(f"{folder / 'log.json'}: outages: should be pairs [from, to] in seconds")
+    return pairs

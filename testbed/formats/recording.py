@@ -40,7 +40,7 @@ def check_time(t: Array, place: str) -> Array:
 
 def check_finite(values: Array, place: str) -> Array:
     """Raises InputError that names ``place`` and the first sample that is NaN or infinite."""
-    finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    finite = np.isfinite(values).reshape(len(values), int(np.prod(values.shape[1:]))).all(axis=1)
     if not finite.all():
         count = int((~finite).sum())
         raise InputError(

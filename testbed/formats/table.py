@@ -239,9 +239,15 @@ def _read_frame(path: Path) -> pd.DataFrame:
 
     try:
         table = pa.parquet.read_table(path) if path.suffix == ".parquet" else pa.csv.read_csv(path)
-        return table.rename_columns([name.strip() for name in table.column_names]).to_pandas()
+        names = [name.strip() for name in table.column_names]
+        frame = table.rename_columns(names).to_pandas()
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable table ({str(error).splitlines()[0]})") from None
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError(f"{path}: column '{twice[0]}' is there {names.count(twice[0])} times; keep one")
+    if not len(frame):
+        raise InputError(f"{path}: has no rows below its header; leave the file out if the sensor recorded nothing")
+    return frame
 
 
 def _numbers(column: pd.Series, place: str) -> Array:

@@ -167,6 +167,12 @@ class _Course:
     def _finish(self, meter: _Meter) -> None:
         task = self.task
         x, f, _ = self.history.all()
+        if len(f) > 1 and (f == f[0]).all():
+            why = "all diverge" if f[0] >= self._config.penalty else "the filter takes no notice of what is searched"
+            raise InputError(
+                f"{self.history.path}: the objective is {f[0]:.6g} for each of {len(f)} candidates ({why}: "
+                f"{', '.join(self.history.names)}), so none is best; tune other parameters or another estimator"
+            )
         meter.skip(task.iterations * self._config.population - len(f))
         best = int(f.argmin())
         what = "-2 log likelihood per fix" if task.likelihood else "objective"
