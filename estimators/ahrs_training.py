@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from estimators.ahrs_kf import AhrsKf
 from estimators.ahrs_lessons import Lesson, Teacher, checksum_of, scales, write_lesson
-from estimators.ahrs_lstm import ACTIVATIONS, STEP_S, Weights, assemble, solve_with
 from estimators.ahrs_lstm_kernels import INPUTS
 from estimators.ahrs_torch import GainNetwork, Memory, distance
+from estimators.ahrs_weights import ACTIVATIONS, STEP_S, Weights, assemble, solve_with
 from estimators.networks.tensor_file import read_arrays, write_arrays
 from testbed.errors import InputError
 

@@ -32,7 +32,7 @@ PHASES = ("cruise", "loiter")
 
 def learning_curve() -> None:
     """``learning-curve.csv`` and ``.png``: the curve that the shipped weights carry with them."""
-    from estimators.ahrs_lstm import load_weights
+    from estimators.ahrs_weights import load_weights
 
     metadata = load_weights("").metadata
     curve = metadata["learning_curve"]

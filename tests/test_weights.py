@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from test_ahrs_lstm import Flight, trained
 
-from estimators.ahrs_lstm import SHIPPED, load_weights
+from estimators.ahrs_weights import SHIPPED, load_weights
 from estimators.networks.mlp import load_networks, new_mlp, save_networks
 from estimators.networks.tensor_file import read_arrays, write_arrays
 from testbed.errors import InputError

@@ -155,6 +155,24 @@ class Recording(NamedTuple):
     """(E,) what the policy returned: 1 a plain update, `REJECTED` none, more a faded covariance"""
 
 
+def empty_recording(samples: int, events: int, sizes: tuple[int, int, int], every: int, stride: int = 1) -> Recording:
+    """Room for a run over so many IMU samples and events; ``sizes``: of the nominal state, the error state, an innovation.
+
+    A covariance is kept every ``every`` samples, state and sigmas every ``stride``.
+    """
+    state, n, m = sizes
+    return Recording(
+        stride,
+        np.empty((samples // stride, state)),
+        np.empty((samples // stride, n)),
+        every,
+        np.empty((samples // every, n, n)),
+        np.full((events, m), np.nan),
+        np.full((events, m, m), np.nan),
+        np.full(events, np.nan),
+    )
+
+
 def note_update(keep, model, e, count, fading):
     """Keep what event ``e``, of ``count`` rows, was to the filter. Kernels only."""
     raise NotImplementedError("kernels only")
