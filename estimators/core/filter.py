@@ -109,7 +109,7 @@ class Work(NamedTuple):
     h: Array
     """(m,n)"""
     x: Array
-    """(n,) what an update adds to the state: minus the estimated error."""
+    """(n,) what an update adds to the state: minus the estimated error; position and velocity as `retract` moved them."""
     scalars: Array
     """(m,2) see `update`"""
     scratch: Array
@@ -281,6 +281,20 @@ def begin(model, k, whole):
 @njit(cache=True, nogil=True, _nrt=False)
 def predict(model, k, dt, part):
     """Carry state and covariance ``dt`` (s) on within IMU sample ``k``, ``part`` of its interval."""
+    motion, middle = move(model, k, dt, part)
+    spread(model, motion, middle, dt)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def spread(model, motion, middle, dt):
+    """Carry the covariance over a step of ``dt`` that `move` made."""
+    propagate(model.p, model.propagation, model.coupling, motion, dt)
+    add_noise(model.p, middle, model.inputs.white, model.inputs.drive, dt)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def move(model, k, dt, part):
+    """The state's share of `predict`: returns the motion as `propagate` takes it, and C_nb in the middle of the step."""
     state, clean, corrections = model.state, model.work.clean, model.work.corrections
     decay, centre, keep, last_dt = model.inputs.decay, model.inputs.centre, model.coupling.keep, model.work.dt
     _clean(model, k)
@@ -308,8 +322,7 @@ def predict(model, k, dt, part):
     spans = model.coupling.spans
     _turn(middle, model.blocks.accel, model.coupling.accel, spans[0], spans[1])
     _turn(middle, model.blocks.gyro, model.coupling.gyro, spans[2], spans[3])
-    propagate(model.p, model.propagation, model.coupling, (rates, force, v), dt)
-    add_noise(model.p, middle, model.inputs.white, model.inputs.drive, dt)
+    return (rates, force, v), middle
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -373,6 +386,8 @@ def retract(model):
     if model.error == INVARIANT:
         turn_position_errors(model.p, n, place)
     turn_velocity_errors(model.p, n, v)
+    put_triple(x, 0, place)
+    put_triple(x, 3, v)
 
 
 @njit(cache=True, nogil=True, _nrt=False)
