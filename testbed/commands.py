@@ -67,6 +67,8 @@ def run(
     used = result.runs["run"].nunique()
     if (stored := _stored_runs(folder)) > used:
         tell_user(f"{stored} runs are stored in {folder}; tables and report are of the first {used}")
+    if (counted := int(result.summary["n"].max())) < used:
+        tell_user(f"{used - counted} of {used} runs are copies of others: nothing in them varied, and they count once")
     print_summary(scenario, result.summary, result.runs)
     sys.stdout.flush()
     print_failures(result.runs)
@@ -302,7 +304,7 @@ def report(folders: list[Path], out: Path) -> None:
 
 def compare(old: Path, new: Path, windows: bool = False) -> int:
     """``testbed compare``: 1 when a metric got worse or is missing, else 0."""
-    from testbed.compare import MISSING, compare_results
+    from testbed.compare import MISSING, NOT_TESTED, compare_results
 
     changes = compare_results(old, new)
     gone = changes[changes["verdict"] == MISSING]
@@ -318,6 +320,8 @@ def compare(old: Path, new: Path, windows: bool = False) -> int:
     print(shown.to_string(index=False, float_format=lambda v: f"{v:.4g}"))
     told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     left = len(changes) - len(shown)
+    if NOT_TESTED in counts:
+        print("not tested: a result of one run (or of copies of one) has no statistical error to compare with")
     print(f"{told}" + (f"; {left} of them in single windows, shown with --windows" if left else ""))
     return int(len(gone) > 0 or (changes["verdict"] == "worse").any())
 

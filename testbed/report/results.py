@@ -18,12 +18,16 @@ import pandas as pd
 
 from testbed.errors import InputError
 
+CLAIMS = (
+    "id text paper_pct measured_pct ci_low ci_high verdict n better than origin margin_pct p_holm median_pct "
+    "lost_better lost_than runaways"
+)
 CSV_COLUMNS = {
     "summary": "estimator window metric n mean std median p05 p95 ci_low ci_high",
     "timings": "estimator samples median_us min_us",
-    "claims": "id text paper_pct measured_pct ci_low ci_high verdict",
+    "claims": CLAIMS,
     "consistency": "estimator quantity dof n_runs mean lower upper share_inside",
-    "claims-timings": "id text paper_pct measured_pct ci_low ci_high verdict",
+    "claims-timings": CLAIMS,
     "improvements": "estimator baseline window metric improvement_pct ci_low ci_high p_value",
 }
 PARQUET_COLUMNS = {
@@ -108,6 +112,22 @@ class Result:
     def run_count(self) -> int:
         return int(self.runs["run"].nunique()) if len(self.runs) else int(self.manifest.get("runs", 0) or 0)
 
+    @property
+    def replications(self) -> int:
+        """Runs that differ from one another: copies of a run, as of a recording, count as one."""
+        return int(self.summary["n"].max()) if self.summary["n"].notna().any() else self.run_count
+
+    @property
+    def flown(self) -> bool:
+        """Whether the runs are of a flight, and not of a recording."""
+        return "flight" in self.scenario
+
+    @property
+    def flights_vary(self) -> bool:
+        """Whether each run has a flight of its own."""
+        settings = self.scenario.get("monte_carlo", {})
+        return self.flown and "manoeuvres" in settings.get("vary", []) and bool(settings.get("disperse"))
+
     def components(self, label: str) -> dict[str, list[str]]:
         """Names of the components of an estimator's extras, where ``info.json`` has them (``components``)."""
         return dict(self.info.get("components", {}).get(label, {}))
@@ -162,7 +182,7 @@ def thin(frame: pd.DataFrame, points: int) -> pd.DataFrame:
 def _read(path: Path, columns: str) -> pd.DataFrame:
     if not path.exists():
         return pd.DataFrame(columns=columns.split())
-    frame = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
+    frame = pd.read_csv(path, dtype={"runaways": str}) if path.suffix == ".csv" else pd.read_parquet(path)
     return frame.reindex(columns=[*frame.columns, *(c for c in columns.split() if c not in frame.columns)])
 
 

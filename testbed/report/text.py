@@ -27,7 +27,7 @@ def markdown(result: Result, figures: dict[str, str]) -> str:
     parts += ["## Comparison"] + [_markdown_table(tables.comparison(result, w)) for w in shown]
     if (table := tables.failures(result)) is not None:
         parts += [f"## {table.title}", _markdown_table(table)]
-    if (table := tables.claims(result)) is not None:
+    for table in tables.claims(result):
         parts += [f"## {table.title}", _markdown_table(table)]
     for table in tables.paper_tables(result):
         parts += [f"## {table.title}", _markdown_table(table)]
@@ -85,8 +85,8 @@ def _bar(text: str) -> str:
 def latex(result: Result) -> str:
     """Tables for ``\\input``: comparison per window, claims, the paper's tables, consistency, time. Needs booktabs."""
     found = [tables.comparison(result, w) for w in comparison_windows(result)]
-    optional = (tables.claims(result), tables.consistency(result), innovations.table(result), tables.timings(result))
-    found += [table for table in optional if table is not None]
+    optional = (tables.consistency(result), innovations.table(result), tables.timings(result))
+    found += tables.claims(result) + [table for table in optional if table is not None]
     found += tables.paper_tables(result)
     return "% needs \\usepackage{booktabs}\n\n" + "\n".join(_latex_table(result, t) for t in found)
 
