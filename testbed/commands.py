@@ -20,18 +20,21 @@ from testbed.screen import print_claims, print_failures, print_summary, progress
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
 
+AUTO_CAP = 1000
+"""Most runs of --runs auto: an interval then has a thirtieth of one run's scatter."""
 MOVING_DPS = 2.0
 """Standard deviation of a gyro that no catalogue sensor reaches at rest, with noise of 2 °/√h at 200 Hz 0.5 °/s."""
 
 
 def run(
-    load: Callable[[Mapping[str, Any]], Scenario],
+    load: Callable[..., Scenario],
     out: Path | None,
     runs: str | None,
     estimators: str | None,
     sweep: list[str] | None,
+    readings: bool,
     width: float,
-    cap: int,
+    cap: int | None,
     report: bool = True,
     offered: Sequence[str] = (),
     **options: Any,
@@ -49,7 +52,12 @@ def run(
         tell_user(f"no row of {scenario.name} uses {', '.join(unused)}: add --estimators +{',+'.join(unused)}")
     folder = out or Path("results") / scenario.name
     check_place(folder)
-    count = testbed.runner.Auto(width, cap) if runs == "auto" else _run_count(runs)
+    if readings:
+        if sweep:
+            raise InputError("--readings and --sweep: one of them; a reading is a result of its own")
+        _readings(load, out, runs, estimators, width, cap, report, **options)
+        return
+    count = testbed.runner.Auto(width, cap or AUTO_CAP) if runs == "auto" else _run_count(runs)
     if sweep:
         _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=count, **options)
         return
@@ -111,6 +119,39 @@ def _sweep(load: Callable[[Mapping[str, Any]], Scenario], grid: list[str], folde
     print("3-D position RMSE, m, mean over the runs, whole flight")
     print(rows.pivot(index=keys, columns="estimator", values="mean").to_string(float_format=lambda v: f"{v:.4g}"))
     print(f"sweep: {folder / 'sweep.csv'} and {folder / 'sweep.png'}")
+
+
+def _readings(
+    load: Callable[..., Scenario],
+    out: Path | None,
+    runs: str | None,
+    estimators: str | None,
+    width: float,
+    cap: int | None,
+    report: bool,
+    **options: Any,
+) -> None:
+    from testbed.readings import CAP, FIRST, run_readings, slug
+    from testbed.report import render
+    from testbed.report.readings import write_page
+    from testbed.runner import Auto
+
+    def chosen(reading: str | None) -> Scenario:
+        return _choose_estimators(load({}, reading), estimators)
+
+    folder = out or Path("results") / f"{load({}).name}-readings"
+    check_place(folder)
+    auto = Auto(width, cap or CAP, min(FIRST, cap or CAP))
+    count = auto if runs in (None, "auto") else _run_count(runs)
+    table = run_readings(chosen, folder, count, announce=tell_user, **options)
+    for claim, rows in table.groupby("claim", sort=False):
+        print(f"{claim}: {rows['class'].iloc[0]}")
+    if report:
+        for reading in load({}).readings:
+            render(folder / "readings" / slug(reading.name), svg=False)
+        print(f"report: {write_page(folder)}")
+    else:
+        print(f"tables: {folder}; the report: testbed report {folder}")
 
 
 def _run_count(runs: str | None) -> int | None:
@@ -284,7 +325,9 @@ def import_recording(format: str, files: list[Path], out: Path) -> None:
 
 def report(folders: list[Path], out: Path) -> None:
     """``testbed report``."""
+    from testbed import readings
     from testbed.report import render, render_index
+    from testbed.report.readings import write_page
     from testbed.tuning.report import write_report
     from testbed.tuning.tune import read_manifest
 
@@ -293,7 +336,9 @@ def report(folders: list[Path], out: Path) -> None:
         if not (folder / "manifest.json").is_file():
             raise InputError(f"{folder}: no result of 'testbed run' or 'testbed tune' (it has no manifest.json)")
     for folder in folders:
-        if read_manifest(folder) is None:
+        if readings.read_manifest(folder) is not None:
+            write_page(folder)
+        elif read_manifest(folder) is None:
             render(folder)
         else:
             write_report(folder)

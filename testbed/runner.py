@@ -217,6 +217,7 @@ def provenance(scenario: Scenario, setup: Setup) -> dict[str, Any]:
         "scenario": scenario.name,
         "variant": scenario.variant,
         "profile": scenario.profile,
+        "reading": scenario.reading,
         "settings": {key: value for key, value in scenario.settings.items() if key != "monte_carlo.seed"},
         "seed": scenario.monte_carlo.seed,
         "runs": scenario.monte_carlo.runs,

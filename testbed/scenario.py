@@ -146,6 +146,25 @@ class ClaimConfig(Table):
         return self
 
 
+class ReadingConfig(Table):
+    """``[[readings]]``: one way to read what the source leaves open; its ``overlay`` is laid over the scenario as a variant is."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.,+ -]*$", max_length=60)
+    leaves_open: str = Field(min_length=1)
+    """What the source does not say, and what this reading takes for it: one sentence."""
+    conditions: dict[str, str] = {}
+    """What tells the readings apart, for example ``{ "GNSS error" = "white" }``: a verdict that changes with it depends on it."""
+    overlay: dict[str, Any] = {}
+    """Without it the scenario as it stands."""
+
+    @model_validator(mode="after")
+    def _same_question(self) -> ReadingConfig:
+        for section in ("scenario", "claims", "readings"):
+            if section in self.overlay:
+                raise ValueError(f"reading '{self.name}': a reading leaves [{section}] as it is")
+        return self
+
+
 class TableRow(Table):
     """A row of a paper's table: a metric, how to scale it, and the paper's figure per column (nan-free; -1 = none)."""
 
@@ -179,6 +198,7 @@ class Scenario(Table):
     monte_carlo: MonteCarloConfig = MonteCarloConfig()
     windows: list[WindowConfig] = []
     claims: list[ClaimConfig] = []
+    readings: list[ReadingConfig] = []
     tables: list[TableConfig] = []
     extra: dict[str, Any] = {}
     """Free tables for tools that go with a scenario: ``[extra.dataset]``, ``[extra.train]``, ``[extra.tune]``."""
@@ -187,6 +207,7 @@ class Scenario(Table):
     _settings: dict[str, Any] = PrivateAttr(default_factory=dict)
     _variant: str | None = PrivateAttr(default=None)
     _profile: str | None = PrivateAttr(default=None)
+    _reading: str | None = PrivateAttr(default=None)
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
@@ -198,6 +219,10 @@ class Scenario(Table):
         for row in rows:
             if rows.count(row) > 1:
                 raise ValueError(f"two estimators are called '{row}'; give one of them a label")
+        names = [reading.name.lower() for reading in self.readings]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two readings are called '{name}'")
         for claim in self.claims:
             for row in (claim.better, claim.than):
                 if row not in rows:
@@ -234,6 +259,11 @@ class Scenario(Table):
         """The profile laid over it, if any."""
         return self._profile
 
+    @property
+    def reading(self) -> str | None:
+        """The reading laid over it, if any."""
+        return self._reading
+
     def active_claims(self) -> list[ClaimConfig]:
         """The claims that this variant of the scenario tests."""
         return [claim for claim in self.claims if claim.variant in (None, self._variant)]
@@ -247,10 +277,10 @@ class Scenario(Table):
         return dump_toml(self.to_data())
 
     def digest(self) -> str:
-        """Hash of all that determines the results of one run: everything but the number of runs and the claims."""
+        """Hash of all that determines the results of one run: everything but the number of runs, the claims, the readings."""
         data = self.to_data()
         data["monte_carlo"].pop("runs")
-        for presentation in ("claims", "tables"):
+        for presentation in ("claims", "readings", "tables"):
             data.pop(presentation, None)
         for sensor in data.get("sensors", {}).values():
             if isinstance(sensor, dict) and "file" in sensor:
@@ -293,11 +323,12 @@ def load_scenario(
     profile: str | None = None,
     variant: str | None = None,
     overrides: Mapping[str, Any] | None = None,
+    reading: str | None = None,
 ) -> Scenario:
     """Read and check a scenario.
 
-    ``profile`` and ``variant`` name overlays of the file; ``overrides`` maps dotted keys (list positions are numbers)
-    to values and stands above both. Raises InputError that names the file and the key.
+    ``profile``, ``variant`` and ``reading`` name overlays of the file; ``overrides`` maps dotted keys (list positions are
+    numbers) to values and stands above all. Raises InputError that names the file and the key.
     """
     path = find_scenario(name_or_path)
     data = read_toml(path)
@@ -308,6 +339,8 @@ def load_scenario(
         if chosen not in overlays[kind]:
             raise InputError(f"{path}: no [{kind}.{chosen}]; {nearest(chosen, overlays[kind])}")
         data = _overlay(data, overlays[kind][chosen])
+    if reading is not None:
+        data = _overlay(data, _reading_overlay(data, reading, path))
     for key, value in (overrides or {}).items():
         set_key(data, key, value, str(path))
     _inline_parameter_files(data, path)
@@ -315,9 +348,17 @@ def load_scenario(
         data = merge({"monte_carlo": {"runs": 1}}, data)  # every run of a recording is the same
     scenario = validate(Scenario, data, str(path), path.resolve().parent)
     scenario._source, scenario._variant, scenario._profile = str(path.resolve()), variant, profile
-    scenario._settings = dict(overrides or {})
+    scenario._settings, scenario._reading = dict(overrides or {}), reading
     _check_estimators(scenario)
     return scenario
+
+
+def _reading_overlay(data: Mapping[str, Any], name: str, path: Path) -> Mapping[str, Any]:
+    """The overlay of a reading. Raises InputError with the nearest name."""
+    entries = {str(e["name"]): e for e in data.get("readings", []) if isinstance(e, dict) and "name" in e}
+    if name not in entries:
+        raise InputError(f"{path}: no [[readings]] named '{name}'; {nearest(name, entries)}")
+    return validate(ReadingConfig, entries[name], f"{path}: reading '{name}'").overlay
 
 
 def _overlay(data: dict[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:

@@ -126,10 +126,10 @@ def verdict_kind(verdict: object) -> str:
     text = str(verdict).lower()
     if any(word in text for word in ("not tested", "undecided", "inconclusive", "nan")):
         return "open"
-    if text.startswith(("not ", "reversed", "contradict")):
+    if text.startswith(("not ", "reversed", "contradict", "fails")):
         return "bad"
-    if any(word in text for word in ("part", "direction", "depends")):
+    if any(word in text for word in ("part", "direction", "depends", "inconsistent")):
         return "part"
-    if text.startswith("reproduced"):
+    if text.startswith(("reproduced", "holds")):
         return "good"
     return "open"

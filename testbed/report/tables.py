@@ -122,7 +122,7 @@ def _claims_table(result: Result, key: str, title: str, rows: list[dict[Any, Any
         Column("p", title="Corrected for the number of claims (Holm)"),
         Column("Verdict", numeric=False),
     ]
-    cells = [(str(row["id"]), _claim_cells(row)) for row in rows]
+    cells = [(str(row["id"]), claim_cells(row)) for row in rows]
     note = [
         "Improvement: by how many percent the first method's error is lower; negative means higher. Runs are paired by seed; "
         f"intervals cover {'flights and seeds' if result.flights_vary else 'seeds of one flight' if result.flown else 'runs'}.",
@@ -131,7 +131,8 @@ def _claims_table(result: Result, key: str, title: str, rows: list[dict[Any, Any
     return Table(key, title, columns, cells, " ".join(note), corner="No.")
 
 
-def _claim_cells(claim: Mapping[Any, Any]) -> list[Cell]:
+def claim_cells(claim: Mapping[Any, Any]) -> list[Cell]:
+    """Text, stated figure, effect, interval, median, runs, p-value and verdict of a row of ``claims.csv``."""
     margin, p_value = _value(claim["margin_pct"]), _value(claim["p_holm"])
     verdict = str(claim["verdict"]) if isinstance(claim["verdict"], str) else "not tested"
     stated = percent(claim["paper_pct"]) if margin is None else f"equal ± {margin:g}"
