@@ -93,14 +93,14 @@ def forest(rows: pd.DataFrame, claim: dict[str, Any]) -> Figure:
         axis.text(
             1.03, place, row["verdict"], color=colour, va="center", fontsize=8, transform=axis.get_yaxis_transform()
         )
-    axis.set(
-        xlim=(low, high), ylim=(len(rows) - 0.5, -0.5), xlabel="Lower by, % (circle: means; diamond: median of ratios)"
-    )
+    axis.set(xlim=(low, high), ylim=(len(rows) - 0.5, -0.5), xlabel="Lower by, %")
     axis.set_yticks(range(len(rows)), list(rows["reading"]))
     axis.tick_params(axis="y", length=0)
     axis.spines["left"].set_visible(False)
-    if axis.get_legend_handles_labels()[1]:
-        figure.legend(loc="lower right", fontsize=7, frameon=False)
+    for label, shape, fill in (("ratio of means", "o", "black"), ("median of ratios", "D", "white")):
+        axis.plot([], [], shape, color="black", mfc=fill, ms=4, label=label)
+    axis.xaxis.set_label_coords(-0.12, -0.24 / (height - 0.55))
+    figure.legend(loc="lower right", ncols=3, fontsize=7, frameon=False, handletextpad=0.4, columnspacing=1.2)
     return figure
 
 

@@ -142,7 +142,7 @@ def claim_cells(claim: Mapping[Any, Any]) -> list[Cell]:
         Cell(percent(claim["measured_pct"]), _value(claim["measured_pct"])),
         Cell(_interval(claim["ci_low"], claim["ci_high"], percent) or MISSING),
         Cell(percent(claim["median_pct"]), _value(claim["median_pct"])),
-        Cell(number(claim["n"]), _value(claim["n"])),
+        Cell(f"{_value(claim['n']) or 0:.0f}", _value(claim["n"])),
         Cell("< 0.001" if p_value is not None and p_value < 0.001 else number(p_value, 2), p_value),
         Cell(verdict, kind=verdict_kind(verdict)),
     ]

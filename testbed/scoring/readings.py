@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from testbed.scoring.verdicts import NOT_TESTED, REPRODUCED, RUNAWAYS, UNDECIDED
+from testbed.scoring.verdicts import LESS, NOT_TESTED, REPRODUCED, RUNAWAYS, UNDECIDED
 
 if TYPE_CHECKING:
     from testbed.scenario import ReadingConfig
@@ -33,17 +33,19 @@ def standing(readings: Sequence[ReadingConfig], verdicts: Mapping[str, str], con
     holds = [reading for reading in readings if verdicts[reading.name] == REPRODUCED]
     unclear = [reading for reading in readings if verdicts[reading.name] in OPEN]
     fails = [reading for reading in readings if reading not in holds and reading not in unclear]
-    parts = [("holds under", holds), ("fails under", fails), ("open under", unclear)]
+    less = [reading for reading in fails if verdicts[reading.name] == LESS]
+    parts = [("holds under", holds), ("holds in direction, not in size, under", less)]
+    parts += [("fails under", [r for r in fails if r not in less]), ("is open under", unclear)]
     sentence = "; ".join(f"{words} {_names(part)}" for words, part in parts if part)
-    if contradiction:
-        return Standing(INCONSISTENT, f"{contradiction} With the figure tested here it {sentence}.")
     if not holds and not fails:
         word = NOT_TESTED
     elif not holds or not fails:
         word = HOLDS if holds else FAILS
     else:
         word = f"depends on {_separating(holds, fails)}"
-    return Standing(word, f"{sentence[0].upper()}{sentence[1:]}." if sentence else "")
+    if contradiction:
+        return Standing(INCONSISTENT, f"{contradiction} As tested here it {word}: it {sentence}.")
+    return Standing(word, f"It {sentence}." if sentence else "")
 
 
 def _separating(holds: Sequence[ReadingConfig], fails: Sequence[ReadingConfig]) -> str:

@@ -39,7 +39,8 @@ COLUMNS = (
 ALPHA = 1.0 - LEVEL
 AS_PRINTED_PCT = 0.05
 """An effect below this prints as 0.0 % and is none, however certain."""
-NOT_TESTED, RUNAWAYS, REPRODUCED, UNDECIDED = "not tested", "depends on runaways", "reproduced", "undecided"
+NOT_TESTED, RUNAWAYS, UNDECIDED = "not tested", "depends on runaways", "undecided"
+REPRODUCED, LESS, NOT_REPRODUCED, REVERSED = "reproduced", "direction reproduced", "not reproduced", "reversed"
 
 Values = Callable[[str, str, str], Array | None]
 """Per-run values of (estimator, window, metric); None where no run has them."""
@@ -92,7 +93,7 @@ def _verdicts(claims: Sequence[ClaimConfig], effects: Sequence[Effect | None]) -
         if measured is None or not math.isfinite(measured.low):
             verdict = NOT_TESTED
         elif margin is not None:
-            verdict = REPRODUCED if corrected < ALPHA else "not reproduced" if unequal[k] < ALPHA else UNDECIDED
+            verdict = REPRODUCED if corrected < ALPHA else NOT_REPRODUCED if unequal[k] < ALPHA else UNDECIDED
         else:
             verdict = _direction(measured, corrected < ALPHA, claims[k].paper_improvement_pct)
         out.append((verdict, known[k], corrected))
@@ -102,10 +103,10 @@ def _verdicts(claims: Sequence[ClaimConfig], effects: Sequence[Effect | None]) -
 def _direction(measured: Effect, certain: bool, paper_pct: float | None) -> str:
     none = max(abs(measured.low), abs(measured.high)) < AS_PRINTED_PCT
     if none or not certain or measured.low <= 0.0 <= measured.high:
-        return "not reproduced"
+        return NOT_REPRODUCED
     if measured.high < 0.0:
-        return "reversed"
-    return REPRODUCED if paper_pct is None or paper_pct <= measured.high else "direction reproduced"
+        return REVERSED
+    return REPRODUCED if paper_pct is None or paper_pct <= measured.high else LESS
 
 
 def _median_objects(measured: Effect, verdict: str, margin: float | None) -> bool:
@@ -116,7 +117,7 @@ def _median_objects(measured: Effect, verdict: str, margin: float | None) -> boo
     low, high = sorted((measured.median_low, measured.median_high))
     if margin is not None:
         inside, outside = max(-low, high) < margin, low > margin or high < -margin
-        return outside if verdict == REPRODUCED else inside and verdict == "not reproduced"
+        return outside if verdict == REPRODUCED else inside and verdict == NOT_REPRODUCED
     if measured.percent * measured.median >= 0.0 or abs(measured.percent - measured.median) < 2.0 * AS_PRINTED_PCT:
         return False
     return not measured.low <= 0.0 <= measured.high or low > 0.0 or high < 0.0
