@@ -53,23 +53,29 @@ class EstimatorConfig(Table):
 
 
 class Distribution(Table):
-    """How a number of the flight varies from run to run: normal (mean, sigma) or uniform (low, high)."""
+    """How a number of the flight varies from run to run: normal (mean, sigma), uniform (low, high), or times a uniform factor."""
 
     normal: list[float] | None = Field(default=None, min_length=2, max_length=2)
     uniform: list[float] | None = Field(default=None, min_length=2, max_length=2)
+    factor: list[float] | None = Field(default=None, min_length=2, max_length=2)
+    """Low and high of what the scenario's own number is multiplied by: sides and signs stay."""
 
     @model_validator(mode="after")
     def _one_of(self) -> Distribution:
-        if (self.normal is None) == (self.uniform is None):
-            raise ValueError("give either normal = [mean, sigma] or uniform = [low, high]")
+        if sum(given is not None for given in (self.normal, self.uniform, self.factor)) != 1:
+            raise ValueError(
+                "give exactly one of normal = [mean, sigma], uniform = [low, high] and factor = [low, high]"
+            )
         return self
 
-    def draw(self, rng: np.random.Generator) -> float:
-        """One value."""
+    def draw(self, rng: np.random.Generator, own: float) -> float:
+        """One value in place of the scenario's ``own``."""
         if self.normal is not None:
             return float(rng.normal(self.normal[0], self.normal[1]))
-        assert self.uniform is not None
-        return float(rng.uniform(self.uniform[0], self.uniform[1]))
+        if self.uniform is not None:
+            return float(rng.uniform(self.uniform[0], self.uniform[1]))
+        assert self.factor is not None
+        return own * float(rng.uniform(self.factor[0], self.factor[1]))
 
 
 class MonteCarloConfig(Table):
@@ -84,11 +90,18 @@ class MonteCarloConfig(Table):
         "outages",
     ]
     disperse: dict[str, Distribution] = {}
-    """Keys inside ``[flight]``, for example ``"manoeuvres.1.bank_deg"``; used where ``vary`` has ``manoeuvres``."""
+    """Keys inside ``[flight]``, for example ``"manoeuvres.1.bank_deg"``, or ``"manoeuvres.*.bank_deg"`` for each manoeuvre that
+    has one, drawn for itself; used where ``vary`` has ``manoeuvres``."""
     divergence_position_m: Positive = 100_000.0
     """A run whose position error passes this anywhere is counted as diverged."""
     timeout_s: Positive | None = None
     """Longest time of one estimator on one run."""
+
+    @model_validator(mode="after")
+    def _says_how(self) -> MonteCarloConfig:
+        if "manoeuvres" in self.vary and not self.disperse:
+            raise ValueError("vary has 'manoeuvres', but no table [monte_carlo.disperse] says what is drawn")
+        return self
 
 
 class WindowConfig(Table):
