@@ -55,7 +55,11 @@ def run(
     if readings:
         if sweep:
             raise InputError("--readings and --sweep: one of them; a reading is a result of its own")
-        _readings(load, out, runs, estimators, width, cap, report, **options)
+        from testbed.readings import CAP, FIRST, command
+
+        auto = testbed.runner.Auto(width, cap or CAP, min(FIRST, cap or CAP))
+        count = auto if runs in (None, "auto") else _run_count(runs)
+        command(lambda name: _choose_estimators(load({}, name), estimators), out, count, report, **options)
         return
     count = testbed.runner.Auto(width, cap or AUTO_CAP) if runs == "auto" else _run_count(runs)
     if sweep:
@@ -119,39 +123,6 @@ def _sweep(load: Callable[[Mapping[str, Any]], Scenario], grid: list[str], folde
     print("3-D position RMSE, m, mean over the runs, whole flight")
     print(rows.pivot(index=keys, columns="estimator", values="mean").to_string(float_format=lambda v: f"{v:.4g}"))
     print(f"sweep: {folder / 'sweep.csv'} and {folder / 'sweep.png'}")
-
-
-def _readings(
-    load: Callable[..., Scenario],
-    out: Path | None,
-    runs: str | None,
-    estimators: str | None,
-    width: float,
-    cap: int | None,
-    report: bool,
-    **options: Any,
-) -> None:
-    from testbed.readings import CAP, FIRST, run_readings, slug
-    from testbed.report import render
-    from testbed.report.readings import write_page
-    from testbed.runner import Auto
-
-    def chosen(reading: str | None) -> Scenario:
-        return _choose_estimators(load({}, reading), estimators)
-
-    folder = out or Path("results") / f"{load({}).name}-readings"
-    check_place(folder)
-    auto = Auto(width, cap or CAP, min(FIRST, cap or CAP))
-    count = auto if runs in (None, "auto") else _run_count(runs)
-    table = run_readings(chosen, folder, count, announce=tell_user, **options)
-    for claim, rows in table.groupby("claim", sort=False):
-        print(f"{claim}: {rows['class'].iloc[0]}")
-    if report:
-        for reading in load({}).readings:
-            render(folder / "readings" / slug(reading.name), svg=False)
-        print(f"report: {write_page(folder)}")
-    else:
-        print(f"tables: {folder}; the report: testbed report {folder}")
 
 
 def _run_count(runs: str | None) -> int | None:

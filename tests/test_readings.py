@@ -16,8 +16,9 @@ from testbed.readings import COLUMNS, run_readings, slug
 from testbed.report.index import write_index
 from testbed.report.labels import percent
 from testbed.report.readings import write_page
-from testbed.scenario import ReadingConfig, load_scenario
+from testbed.scenario import load_scenario
 from testbed.schema import validate
+from testbed.scoring.claims import ReadingConfig
 from testbed.scoring.readings import standing
 
 CONDITIONS = {"quiet": {"noise": "low", "place": "here"}, "loud": {"noise": "high", "place": "here"}}

@@ -20,8 +20,8 @@ from testbed.report.figures import WIDTH, Drawing, save
 from testbed.report.labels import COLOURS, metric_label, percent, verdict_kind, window_label
 from testbed.report.tables import Cell, Column, Table, claim_cells
 from testbed.report.text import markdown_table
-from testbed.scenario import ReadingConfig
 from testbed.schema import validate
+from testbed.scoring.claims import ReadingConfig
 from testbed.scoring.readings import Standing, standing
 from testbed.store import write_atomic, write_json
 

@@ -75,12 +75,13 @@ def effect(a: Array, b: Array, seed: int = 0) -> Effect | None:
     Equal pairs are one pair: copies of a run say nothing new. With a single pair interval and error are NaN.
     """
     rows = distinct_rows(np.column_stack([a, b]))
-    found = _effect(a[rows], b[rows], seed)
-    if found is None:
-        return None
     a, b = a[rows], b[rows]
-    far = runaways(a) | runaways(b)
-    trimmed = _effect(a[~far], b[~far], seed) if far.any() else None
+    with np.errstate(all="ignore"):  # what overflows or divides by zero comes out as inf or NaN, and is judged as that
+        found = _effect(a, b, seed)
+        if found is None:
+            return None
+        far = runaways(a) | runaways(b)
+        trimmed = _effect(a[~far], b[~far], seed) if far.any() else None
     return Effect(**vars(found) | {"runaways": tuple(rows[far].tolist()), "trimmed": trimmed})
 
 
@@ -120,16 +121,13 @@ def _effect(a: Array, b: Array, seed: int) -> Effect | None:
         return Effect(percent, math.nan, math.nan, math.nan, n, *median, lost)
     error = float(100.0 * (x - ratio * y).std(ddof=1) / (math.sqrt(n) * abs(y.mean())))
     means = bootstrap_means(np.column_stack([x, y]), seed)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        low, high = expanded(100.0 * (1.0 - means[:, :1] / means[:, 1:]), np.array([n]))
+    low, high = expanded(100.0 * (1.0 - means[:, :1] / means[:, 1:]), np.array([n]))
     return Effect(percent, float(low[0]), float(high[0]), error, n, *median, lost)
 
 
 def _median_effect(x: Array, y: Array, lost: tuple[int, int]) -> tuple[float, float, float]:
     """Median of the paired ratios as an effect, and its 95 % interval (NaN below six runs, which have none)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = x / y
-    ordered = np.sort(np.concatenate([ratios, np.full(lost[0], np.inf), np.zeros(lost[1])]))
+    ordered = np.sort(np.concatenate([x / y, np.full(lost[0], np.inf), np.zeros(lost[1])]))
     n = len(ordered)
     upper, lower = ordered[n // 2], ordered[(n - 1) // 2]
     middle = upper if upper == lower else 0.5 * (upper + lower)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from testbed.scoring.verdicts import LESS, NOT_TESTED, REPRODUCED, RUNAWAYS, UNDECIDED
 
 if TYPE_CHECKING:
-    from testbed.scenario import ReadingConfig
+    from testbed.scoring.claims import ReadingConfig
 
 HOLDS, FAILS, INCONSISTENT = "holds", "fails", "source inconsistent"
 OPEN = (NOT_TESTED, UNDECIDED, RUNAWAYS)

@@ -29,7 +29,7 @@ from testbed.scoring.effects import Effect, effect
 from testbed.scoring.statistics import LEVEL, holm
 
 if TYPE_CHECKING:
-    from testbed.scenario import ClaimConfig
+    from testbed.scoring.claims import ClaimConfig
 
 COLUMNS = (
     "id text paper_pct measured_pct ci_low ci_high verdict p_value n better than metric window "
