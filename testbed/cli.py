@@ -10,7 +10,7 @@ import re
 import shlex
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -111,8 +111,8 @@ def _failed(error: BaseException, words: Sequence[str]) -> int:
 
 def _loader(
     scenario: str, profile: str | None, variant: str | None, settings: list[str] | None, seed: int | None = None
-) -> Callable[[Mapping[str, Any]], Scenario]:
-    """How this call reads its scenario; further overrides (of a sweep) stand above the call's own settings."""
+) -> Callable[..., Scenario]:
+    """How this call reads its scenario: further overrides (of a sweep) stand above the call's own settings; and a reading."""
     from testbed.scenario import load_scenario, parse_setting
 
     overrides: dict[str, Any] = dict(parse_setting(text) for text in settings or [])
@@ -122,7 +122,7 @@ def _loader(
             overrides[key] = str(Path(value).resolve())
     if seed is not None:
         overrides["monte_carlo.seed"] = seed
-    return lambda further: load_scenario(scenario, profile, variant, {**overrides, **further})
+    return lambda further, reading=None: load_scenario(scenario, profile, variant, {**overrides, **further}, reading)
 
 
 def _load_plugins(plugins: list[Path] | None) -> list[str]:
@@ -158,10 +158,16 @@ def run_command(
     resume: Annotated[bool, typer.Option("--resume", help="Complete what is missing in an earlier result.")] = False,
     timeout: Annotated[float | None, typer.Option(min=0.1, help="Longest time of one estimator on one run, s.")] = None,
     sweep: Annotated[list[str] | None, typer.Option(metavar="KEY=V1,V2", help="Run a grid over settings.")] = None,
+    readings: Annotated[
+        bool, typer.Option("--readings", help="Run every reading of the source and judge the claims under each.")
+    ] = False,
     width: Annotated[
-        float, typer.Option(min=0.1, help="With --runs auto: interval width of every claim, percentage points.")
+        float,
+        typer.Option(min=0.1, help="With --runs auto or --readings: interval width of every claim, percentage points."),
     ] = 10.0,
-    cap: Annotated[int, typer.Option(min=1, help="With --runs auto: most runs.")] = 1000,
+    cap: Annotated[
+        int | None, typer.Option(min=1, help="Most runs with --runs auto (1000) and with --readings (200).")
+    ] = None,
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="Render the report; the tables are always written.")
     ] = True,
@@ -185,6 +191,7 @@ def run_command(
         resume=resume,
         timeout=timeout,
         sweep=sweep,
+        readings=readings,
         width=width,
         cap=cap,
         report=report,

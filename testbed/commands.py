@@ -22,18 +22,21 @@ from testbed.screen import print_claims, print_failures, print_summary, progress
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
 
+AUTO_CAP = 1000
+"""Most runs of --runs auto: an interval then has a thirtieth of one run's scatter."""
 MOVING_DPS = 2.0
 """Standard deviation of a gyro that no catalogue sensor reaches at rest, with noise of 2 °/√h at 200 Hz 0.5 °/s."""
 
 
 def run(
-    load: Callable[[Mapping[str, Any]], Scenario],
+    load: Callable[..., Scenario],
     out: Path | None,
     runs: str | None,
     estimators: str | None,
     sweep: list[str] | None,
+    readings: bool,
     width: float,
-    cap: int,
+    cap: int | None,
     report: bool = True,
     offered: Sequence[str] = (),
     **options: Any,
@@ -43,6 +46,7 @@ def run(
     ``offered`` are the estimators that plug-ins brought.
     """
     import testbed.runner
+    from testbed.readings import KIND as READINGS
     from testbed.report import preload, render
     from testbed.store import KIND as RESULT
 
@@ -51,8 +55,17 @@ def run(
     if unused and estimators is None:
         tell_user(f"no row of {scenario.name} uses {', '.join(unused)}: add --estimators +{',+'.join(unused)}")
     folder = out or Path("results") / scenario.name
-    check_own(folder, "testbed sweep" if sweep else RESULT)
-    count = testbed.runner.Auto(width, cap) if runs == "auto" else _run_count(runs)
+    check_own(folder, "testbed sweep" if sweep else READINGS if readings else RESULT)
+    if readings:
+        if sweep:
+            raise InputError("--readings and --sweep: one of them; a reading is a result of its own")
+        from testbed.readings import CAP, FIRST, command
+
+        auto = testbed.runner.Auto(width, cap or CAP, min(FIRST, cap or CAP))
+        count = auto if runs in (None, "auto") else _run_count(runs)
+        command(lambda name: _choose_estimators(load({}, name), estimators), out, count, report, **options)
+        return
+    count = testbed.runner.Auto(width, cap or AUTO_CAP) if runs == "auto" else _run_count(runs)
     if sweep:
         _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=count, **options)
         return
@@ -70,6 +83,8 @@ def run(
     used = result.runs["run"].nunique()
     if (stored := _stored_runs(folder)) > used:
         tell_user(f"{stored} runs are stored in {folder}; tables and report are of the first {used}")
+    if (counted := int(result.summary["n"].max())) < used:
+        tell_user(f"{used - counted} of {used} runs are copies of others: nothing in them varied, and they count once")
     print_summary(scenario, result.summary, result.runs)
     sys.stdout.flush()
     for note in result.notes:
@@ -296,7 +311,10 @@ def import_recording(format: str, files: list[Path], out: Path) -> None:
 
 def report(folders: list[Path], out: Path) -> None:
     """``testbed report``."""
+    from testbed.folders import read_manifest as manifest_of
+    from testbed.readings import KIND as READINGS
     from testbed.report import render, render_index
+    from testbed.report.readings import write_page
     from testbed.tuning.report import write_report
     from testbed.tuning.tune import read_manifest
 
@@ -305,7 +323,9 @@ def report(folders: list[Path], out: Path) -> None:
         if not (folder / "manifest.json").is_file():
             raise InputError(f"{folder}: no result of 'testbed run' or 'testbed tune' (it has no manifest.json)")
     for folder in folders:
-        if read_manifest(folder) is None:
+        if manifest_of(folder, READINGS) is not None:
+            write_page(folder)
+        elif read_manifest(folder) is None:
             render(folder)
         else:
             write_report(folder)
@@ -316,7 +336,7 @@ def report(folders: list[Path], out: Path) -> None:
 
 def compare(old: Path, new: Path, windows: bool = False) -> int:
     """``testbed compare``: 1 when a metric got worse or is missing, else 0."""
-    from testbed.compare import MISSING, compare_results
+    from testbed.compare import MISSING, NOT_TESTED, compare_results
 
     changes = compare_results(old, new)
     gone = changes[changes["verdict"] == MISSING]
@@ -332,6 +352,8 @@ def compare(old: Path, new: Path, windows: bool = False) -> int:
     print(shown.to_string(index=False, float_format=lambda v: f"{v:.4g}"))
     told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     left = len(changes) - len(shown)
+    if NOT_TESTED in counts:
+        print("not tested: a result of one run (or of copies of one) has no statistical error to compare with")
     print(f"{told}" + (f"; {left} of them in single windows, shown with --windows" if left else ""))
     return int(len(gone) > 0 or (changes["verdict"] == "worse").any())
 

@@ -253,6 +253,7 @@ def provenance(scenario: Scenario, setup: Setup) -> dict[str, Any]:
         "scenario": scenario.name,
         "variant": scenario.variant,
         "profile": scenario.profile,
+        "reading": scenario.reading,
         "settings": {key: value for key, value in scenario.settings.items() if key != "monte_carlo.seed"},
         "seed": scenario.monte_carlo.seed,
         "runs": scenario.monte_carlo.runs,
@@ -321,14 +322,16 @@ def _units(setup: Setup, missing: list[int], jobs: int, client: Any) -> Any:
 
 
 def _narrow(store: Store, scenario: Scenario, runs: int, width_pct: float) -> bool:
-    """Whether the interval of every claim is narrower than ``width_pct``."""
-    from testbed.aggregate import claim_values
-    from testbed.claims import measure
+    """Whether the interval of every claim is narrower than ``width_pct``, or will never be because the runs are copies.
 
-    cells = [(row, c.window, c.metric) for c in scenario.active_claims() for row in (c.better, c.than)]
+    Claims on computation time are not looked at, or the number of runs would depend on the machine.
+    """
+    from testbed.aggregate import claim_values
+    from testbed.scoring.quantities import TIME_METRIC
+    from testbed.scoring.verdicts import measure
+
+    claims = [claim for claim in scenario.active_claims() if claim.metric != TIME_METRIC]
+    cells = [(row, c.window, c.metric) for c in claims for row in (c.better, c.than)]
     values = claim_values(store, range(runs), cells)
-    for claim in scenario.active_claims():
-        measured = measure(claim, lambda *cell: values.get(cell), scenario.monte_carlo.seed)
-        if measured is not None and not measured.high - measured.low < width_pct:
-            return False
-    return True
+    effects = [measure(claim, lambda *cell: values.get(cell), scenario.monte_carlo.seed) for claim in claims]
+    return all(e is None or (e.n == 1 and runs > 1) or e.high - e.low < width_pct for e in effects)

@@ -22,6 +22,7 @@ from testbed.flight.config import FlightConfig
 from testbed.flight.drive import DriveConfig
 from testbed.formats.config import RecordingConfig
 from testbed.schema import DEEPEST, JSBSIM, Name, Table, dump_toml, is_file, parse_toml, read_toml, validate
+from testbed.scoring.claims import ClaimConfig, ReadingConfig
 from testbed.sensors.config import InitialConfig
 from testbed.sensors.registry import SensorsConfig
 
@@ -58,35 +59,41 @@ class EstimatorConfig(Table):
 
 
 class Distribution(Table):
-    """How a number of the flight varies from run to run: normal (mean, sigma) or uniform (low, high)."""
+    """How a number of the flight varies from run to run: normal (mean, sigma), uniform (low, high), or times a uniform factor."""
 
     normal: list[float] | None = Field(default=None, min_length=2, max_length=2)
     uniform: list[float] | None = Field(default=None, min_length=2, max_length=2)
+    factor: list[float] | None = Field(default=None, min_length=2, max_length=2)
+    """Low and high of what the scenario's own number is multiplied by: sides and signs stay."""
 
     @model_validator(mode="after")
     def _one_of(self) -> Distribution:
-        if (self.normal is None) == (self.uniform is None):
-            raise ValueError("give either normal = [mean, sigma] or uniform = [low, high]")
+        if sum(given is not None for given in (self.normal, self.uniform, self.factor)) != 1:
+            raise ValueError(
+                "give exactly one of normal = [mean, sigma], uniform = [low, high] and factor = [low, high]"
+            )
         if self.normal is not None and self.normal[1] < 0.0:
             raise ValueError(f"normal = [mean, sigma]: sigma must not be negative, is {self.normal[1]:g}")
-        if self.uniform is not None and self.uniform[0] > self.uniform[1]:
-            low, high = self.uniform
-            raise ValueError(f"uniform = [low, high]: low ({low:g}) must not lie above high ({high:g})")
+        for name, ends in (("uniform", self.uniform), ("factor", self.factor)):
+            if ends is not None and ends[0] > ends[1]:
+                raise ValueError(f"{name} = [low, high]: low ({ends[0]:g}) must not lie above high ({ends[1]:g})")
         return self
 
     @property
     def marks(self) -> list[float]:
-        """Values that must be possible, or the distribution means nothing: the mean, or both ends."""
+        """Values that must be possible, or the distribution means nothing: the mean, or both ends; none of a factor."""
         if self.normal is not None:
             return [self.normal[0]]
         return [float(end) for end in self.uniform or ()]
 
-    def draw(self, rng: np.random.Generator) -> float:
-        """One value."""
+    def draw(self, rng: np.random.Generator, own: float) -> float:
+        """One value in place of the scenario's ``own``."""
         if self.normal is not None:
             return float(rng.normal(self.normal[0], self.normal[1]))
-        assert self.uniform is not None
-        return float(rng.uniform(self.uniform[0], self.uniform[1]))
+        if self.uniform is not None:
+            return float(rng.uniform(self.uniform[0], self.uniform[1]))
+        assert self.factor is not None
+        return own * float(rng.uniform(self.factor[0], self.factor[1]))
 
 
 class MonteCarloConfig(Table):
@@ -102,11 +109,18 @@ class MonteCarloConfig(Table):
         "outages",
     ]
     disperse: dict[str, Distribution] = {}
-    """Keys inside ``[flight]``, for example ``"manoeuvres.1.bank_deg"``; used where ``vary`` has ``manoeuvres``."""
+    """Keys inside ``[flight]``, for example ``"manoeuvres.1.bank_deg"``, or ``"manoeuvres.*.bank_deg"`` for each manoeuvre that
+    has one, drawn for itself; used where ``vary`` has ``manoeuvres``."""
     divergence_position_m: Positive = 100_000.0
     """A run whose position error passes this anywhere is counted as diverged."""
     timeout_s: Annotated[float, Field(gt=0, le=LONGEST_TIMEOUT_S)] | None = None
     """Longest time of one estimator on one run."""
+
+    @model_validator(mode="after")
+    def _says_how(self) -> MonteCarloConfig:
+        if "manoeuvres" in self.vary and not self.disperse:
+            raise ValueError("vary has 'manoeuvres', but no table [monte_carlo.disperse] says what is drawn")
+        return self
 
 
 class WindowConfig(Table):
@@ -125,20 +139,6 @@ class WindowConfig(Table):
             if self.end <= self.start:
                 raise ValueError(f"window '{self.name}' ends at {self.end} s, before it starts at {self.start} s")
         return self
-
-
-class ClaimConfig(Table):
-    """``[[claims]]``: "``better`` beats ``than`` by so many per cent in this metric and window"."""
-
-    id: str = ""
-    better: str
-    than: str
-    metric: str
-    window: str = "all"
-    paper_improvement_pct: float | None = None
-    text: str = ""
-    variant: str | None = None
-    """The claim is tested only when the scenario runs in this variant."""
 
 
 class TableRow(Table):
@@ -184,6 +184,7 @@ class Scenario(Table):
     monte_carlo: MonteCarloConfig = MonteCarloConfig()
     windows: list[WindowConfig] = []
     claims: list[ClaimConfig] = []
+    readings: list[ReadingConfig] = []
     tables: list[TableConfig] = []
     extra: dict[str, Any] = {}
     """Free tables for tools that go with a scenario: ``[extra.dataset]``, ``[extra.train]``, ``[extra.tune]``."""
@@ -192,6 +193,7 @@ class Scenario(Table):
     _settings: dict[str, Any] = PrivateAttr(default_factory=dict)
     _variant: str | None = PrivateAttr(default=None)
     _profile: str | None = PrivateAttr(default=None)
+    _reading: str | None = PrivateAttr(default=None)
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
@@ -207,6 +209,10 @@ class Scenario(Table):
         for row in rows:
             if rows.count(row) > 1:
                 raise ValueError(f"two estimators are called '{row}'; give one of them a label")
+        names = [reading.name.lower() for reading in self.readings]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two readings are called '{name}'")
         for claim in self.claims:
             for row in (claim.better, claim.than):
                 if row not in rows:
@@ -243,6 +249,11 @@ class Scenario(Table):
         """The profile laid over it, if any."""
         return self._profile
 
+    @property
+    def reading(self) -> str | None:
+        """The reading laid over it, if any."""
+        return self._reading
+
     def active_claims(self) -> list[ClaimConfig]:
         """The claims that this variant of the scenario tests."""
         return [claim for claim in self.claims if claim.variant in (None, self._variant)]
@@ -256,10 +267,10 @@ class Scenario(Table):
         return dump_toml(self.to_data())
 
     def digest(self) -> str:
-        """Hash of all that determines the results of one run: everything but the number of runs and the claims."""
+        """Hash of all that determines the results of one run: everything but the number of runs, the claims, the readings."""
         data = self.to_data()
         data["monte_carlo"].pop("runs")
-        for presentation in ("claims", "tables"):
+        for presentation in ("claims", "readings", "tables"):
             data.pop(presentation, None)
         for sensor in data.get("sensors", {}).values():
             if isinstance(sensor, dict) and "file" in sensor:
@@ -307,11 +318,12 @@ def load_scenario(
     profile: str | None = None,
     variant: str | None = None,
     overrides: Mapping[str, Any] | None = None,
+    reading: str | None = None,
 ) -> Scenario:
     """Read and check a scenario.
 
-    ``profile`` and ``variant`` name overlays of the file; ``overrides`` maps dotted keys (list positions are numbers)
-    to values and stands above both. Raises InputError that names the file and the key.
+    ``profile``, ``variant`` and ``reading`` name overlays of the file; ``overrides`` maps dotted keys (list positions are
+    numbers) to values and stands above all. Raises InputError that names the file and the key.
     """
     path = find_scenario(name_or_path)
     data = read_toml(path)
@@ -322,6 +334,8 @@ def load_scenario(
         if chosen not in overlays[kind]:
             raise InputError(f"{path}: no [{kind}.{chosen}]; {nearest(chosen, overlays[kind])}")
         data = _overlay(data, overlays[kind][chosen])
+    if reading is not None:
+        data = _overlay(data, _reading_overlay(data, reading, path))
     for key, value in (overrides or {}).items():
         set_key(data, key, value, str(path))
     _inline_parameter_files(data, path)
@@ -329,7 +343,7 @@ def load_scenario(
         data = merge({"monte_carlo": {"runs": 1}}, data)  # every run of a recording is the same
     scenario = validate(Scenario, data, str(path), path.resolve().parent)
     scenario._source, scenario._variant, scenario._profile = str(path.resolve()), variant, profile
-    scenario._settings = dict(overrides or {})
+    scenario._settings, scenario._reading = dict(overrides or {}), reading
     _check_estimators(scenario)
     _check_dispersion(scenario)
     return scenario
@@ -353,11 +367,21 @@ def _check_dispersion(scenario: Scenario) -> None:
         return
     flight = scenario.flight.model_dump(mode="json", exclude_none=True)
     for key, distribution in scenario.monte_carlo.disperse.items():
+        if "*" in key:
+            continue  # each manoeuvre that has the key is checked when its value is drawn
         for mark in distribution.marks:
             data = copy.deepcopy(flight)
             where = f"{scenario.source_path}: 'monte_carlo.disperse', '{key}' = {mark:g}"
             set_key(data, key, mark, where)
-            validate(FlightConfig, data, where)
+            validate(type(scenario.flight), data, where)
+
+
+def _reading_overlay(data: Mapping[str, Any], name: str, path: Path) -> Mapping[str, Any]:
+    """The overlay of a reading. Raises InputError with the nearest name."""
+    entries = {str(e["name"]): e for e in data.get("readings", []) if isinstance(e, dict) and "name" in e}
+    if name not in entries:
+        raise InputError(f"{path}: no [[readings]] named '{name}'; {nearest(name, entries)}")
+    return validate(ReadingConfig, entries[name], f"{path}: reading '{name}'").overlay
 
 
 def _overlay(data: dict[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:

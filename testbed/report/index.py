@@ -36,12 +36,25 @@ class Entry:
     sentence: str
     runs: int
     verdicts: dict[str, int]
+    own: dict[str, int]
+    """Verdicts on our own claims, which are counted apart."""
     variants: tuple[Entry, ...] = ()
 
     @property
     def counts(self) -> str:
         """The verdicts in words."""
-        return ", ".join(f"{self.verdicts[kind]} {word}" for kind, word in KINDS.items() if self.verdicts[kind])
+        return "; ".join(
+            filter(None, (_in_words(self.verdicts), f"own claims: {own}" if (own := _in_words(self.own)) else ""))
+        )
+
+    @property
+    def own_counts(self) -> str:
+        """The verdicts on our own claims in words."""
+        return _in_words(self.own)
+
+
+def _in_words(counts: dict[str, int]) -> str:
+    return ", ".join(f"{counts[kind]} {word}" for kind, word in KINDS.items() if counts[kind])
 
 
 def write_index(dirs: list[Path], out: Path, replace_others: bool = False) -> Path:
@@ -81,6 +94,7 @@ ENTRY = "report.json"
 
 def entry_of(result: Result) -> dict[str, Any]:
     """The content of `ENTRY`."""
+    own = result.claims["origin"] == "own"
     return {
         "scenario": result.manifest.get("scenario"),
         "variant": result.manifest.get("variant"),
@@ -88,7 +102,8 @@ def entry_of(result: Result) -> dict[str, Any]:
         "source": result.source,
         "sentence": headline(result).sentences[0] + (f" Changed: {result.changed}." if result.changed else ""),
         "runs": result.run_count,
-        "verdicts": [str(verdict) for verdict in result.claims["verdict"]],
+        "verdicts": [str(verdict) for verdict in result.claims.loc[~own, "verdict"]],
+        "own_verdicts": [str(verdict) for verdict in result.claims.loc[own, "verdict"]],
     }
 
 
@@ -105,7 +120,7 @@ def _entry(folder: Path, start: Path) -> Entry:
     else:
         told = entry_of(load_result(folder))
     link = quote(Path(os.path.relpath(folder / "report.html", start)).as_posix())
-    counts = Counter(verdict_kind(verdict) for verdict in told["verdicts"])
+    counts, own = (Counter(map(verdict_kind, told.get(key, []))) for key in ("verdicts", "own_verdicts"))
     return Entry(
         scenario=str(told["scenario"]),
         variant=told["variant"] or "",
@@ -116,6 +131,7 @@ def _entry(folder: Path, start: Path) -> Entry:
         sentence=told["sentence"],
         runs=told["runs"],
         verdicts={kind: counts[kind] for kind in KINDS},
+        own={kind: own[kind] for kind in KINDS},
     )
 
 
@@ -129,6 +145,7 @@ def _markdown(entries: list[Entry]) -> str:
         also = ", ".join(
             f"[{v.variant or v.folder}]({v.link})" + (f" ({v.counts})" if v.counts else "") for v in e.variants
         )
-        sentence = f"{e.sentence} Also: {also}." if also else e.sentence
+        sentence = f"{e.sentence} Own claims: {e.own_counts}." if e.own_counts else e.sentence
+        sentence += f" Also: {also}." if also else ""
         lines.append(f"| [{e.title}]({e.link}) | {sentence} | {counts} | {e.runs} |")
     return "# Results\n\n" + "\n".join(lines) + "\n"

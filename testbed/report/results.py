@@ -21,12 +21,16 @@ from testbed.csv_text import read_csv
 from testbed.errors import InputError
 from testbed.store import Store, open_result, optional_part
 
+CLAIMS = (
+    "id text paper_pct measured_pct ci_low ci_high verdict n better than origin margin_pct p_holm median_pct "
+    "lost_better lost_than runaways"
+)
 CSV_COLUMNS = {
     "summary": "estimator window metric n mean std median p05 p95 ci_low ci_high",
     "timings": "estimator samples median_us min_us",
-    "claims": "id text paper_pct measured_pct ci_low ci_high verdict",
+    "claims": CLAIMS,
     "consistency": "estimator quantity dof n_runs mean lower upper share_inside",
-    "claims-timings": "id text paper_pct measured_pct ci_low ci_high verdict",
+    "claims-timings": CLAIMS,
     "improvements": "estimator baseline window metric improvement_pct ci_low ci_high p_value",
 }
 PARQUET_COLUMNS = {
@@ -157,6 +161,22 @@ class Result:
     def notes(self) -> list[str]:
         """What the scenario says without effect, in sentences."""
         return [str(note) for note in self.manifest.get("notes") or []]
+
+    @property
+    def replications(self) -> int:
+        """Runs that differ from one another: copies of a run, as of a recording, count as one."""
+        return int(self.summary["n"].max()) if self.summary["n"].notna().any() else self.run_count
+
+    @property
+    def flown(self) -> bool:
+        """Whether the runs are of a flight, and not of a recording."""
+        return "flight" in self.scenario
+
+    @property
+    def flights_vary(self) -> bool:
+        """Whether each run has a flight of its own."""
+        settings = self.scenario.get("monte_carlo", {})
+        return self.flown and "manoeuvres" in settings.get("vary", []) and bool(settings.get("disperse"))
 
     def components(self, label: str) -> dict[str, list[str]]:
         """Names of the components of an estimator's extras, where ``info.json`` has them (``components``)."""

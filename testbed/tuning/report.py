@@ -256,7 +256,7 @@ def _what_was_run(study: Study) -> str:
 
 @dataclass(frozen=True)
 class Claim:
-    """What a paper says, what was found (a verdict of `testbed.claims`, or a longer one that begins like it), and why."""
+    """What a paper says, what was found (a verdict of `testbed.scoring.verdicts`, or a longer one that begins like it), and why."""
 
     text: str
     verdict: str

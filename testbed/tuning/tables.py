@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed import statistics
 from testbed.csv_text import csv_text
 from testbed.folders import Folder
 from testbed.records import Array
 from testbed.scenario import Scenario
 from testbed.schema import read_toml
+from testbed.scoring.effects import effect
 from testbed.scoring.quantities import MAIN, NIS
 from testbed.tuning.config import RMSE_METRICS, TuneConfig, tuned_entry
 from testbed.tuning.history import per_iteration, read_evaluations
@@ -143,7 +143,7 @@ def heldout(scores: pd.DataFrame, config: TuneConfig) -> pd.DataFrame:
         if not sums["test"].empty:
             own, base = (sums["test"].loc[name].to_numpy() for name in (row, DATA_SHEET))
             entry |= {"test": own.mean(), "diverged": int((~np.isfinite(own)).sum())}
-            gain = statistics.improvement(own, base) if row != DATA_SHEET else None
+            gain = effect(own, base) if row != DATA_SHEET else None
             if gain is not None:
                 entry |= {
                     "improvement_pct": gain.percent,
