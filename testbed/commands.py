@@ -110,11 +110,7 @@ def _stored_runs(folder: Path) -> int:
 
 def _announce_compilation() -> None:
     """The first run of an installation compiles the kernels; without a word that looks like a hang."""
-    if "NUMBA_CACHE_DIR" in os.environ:
-        compiled = any(Path(os.environ["NUMBA_CACHE_DIR"]).glob("testbed_*/*.nbi"))
-    else:
-        folder = Path(__file__).parent / "__pycache__"
-        compiled = not os.access(folder, os.W_OK) or any(folder.glob("*.nbi"))
+    compiled = any(Path(os.environ["NUMBA_CACHE_DIR"]).glob("testbed_*/*.nbi"))
     if not compiled:
         tell_user("first use: compiling the kernels takes a minute or two")
 

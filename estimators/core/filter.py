@@ -326,9 +326,9 @@ def move(model, k, dt, part):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def correct(model, k, e):
-    """Use event ``e`` at the present state, which lies within IMU sample ``k``."""
-    events, x, p = model.events, model.work.x, model.p
+def observe(model, k, e):
+    """Residual, H and R of event ``e`` at the present state into the work arrays; returns the number of rows."""
+    events = model.events
     kind = events.kind[e]
     count = events.rows[kind]
     residual, h, r = model.work.residual[:count], model.work.h[:count], model.work.r[:count]
@@ -339,6 +339,15 @@ def correct(model, k, e):
         for i in range(h.shape[1]):
             set_entry(h, a, i, 0.0)
     _measure(model, kind, e, residual, h)
+    return count
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def correct(model, k, e):
+    """Use event ``e`` at the present state, which lies within IMU sample ``k``."""
+    x, p, kind = model.work.x, model.p, model.events.kind[e]
+    count = observe(model, k, e)
+    residual, h, r = model.work.residual[:count], model.work.h[:count], model.work.r[:count]
     fading = _judge(model, kind, residual, h, r)
     if fading != REJECTED:
         for i in range(h.shape[1]):

@@ -82,15 +82,16 @@ class Adjoint(NamedTuple):
     """(n,n)"""
 
 
-def smooth(prepared: Prepared) -> NavSolution:
+def smooth(prepared: Prepared, segment: int | None = None) -> NavSolution:
     """Smoothed states, standard deviations and covariances of a prepared log; innovations are those of the filter.
 
-    Beside the solution it holds 2 sqrt(N) covariances of the N samples, so a log of an hour needs a few megabytes.
+    ``segment``: IMU samples that are filtered and swept at a time. The square root of their number, which is the default,
+    makes the memory least: as many covariances in checkpoints as in a segment, a few megabytes for an hour.
     """
     recording, line = make_recording(prepared), make_timeline_of(prepared)
     model = make_model(prepared, recording)
     count, n = len(line.t), len(prepared.states)
-    length = math.isqrt(count - 1) + 1
+    length = segment or math.isqrt(count - 1) + 1
     # All that the filter carries from one sample to the next; the other arrays are made anew by each step.
     carried = (model.state, model.p, model.events.memory, model.work.whole, line.now, line.place)
     starts, checkpoints = range(0, count, length), []

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from estimators.core.composition import Composition, Prepared, prepare, run
 from estimators.core.smoother import smooth
+from estimators.core.stepwise import Stepwise
 from estimators.policies import positive
 from testbed.errors import InputError, nearest
 from testbed.records import NavSolution, SensorLog
@@ -77,6 +78,12 @@ class Eskf:
         """Filter the log. Raises InputError when it lacks what a part needs."""
         prepared = self.prepare(log)
         return smooth(prepared) if self.smooth else run(prepared)
+
+    def start(self, log: SensorLog) -> Stepwise:
+        """The filter at the start of a log, to be led step by step. Raises InputError as `run` does, and with ``smooth``."""
+        if self.smooth:
+            raise InputError(f"{self.name}: smooth = true needs the whole log; start a filter without it")
+        return Stepwise(self.prepare(log))
 
     def prepare(self, log: SensorLog) -> Prepared:
         """What a run on this log starts from."""
