@@ -21,7 +21,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from estimators.core.filter import keeper, note_sample
-from estimators.core.timeline import steps
+from estimators.core.timeline import INLINED, steps
 from estimators.core.update import cholesky
 from testbed.rotations import quat_multiply, quat_normalize, quat_to_matrix, rotvec_to_quat
 
@@ -168,7 +168,7 @@ def change_gain(gain, model, k):
     raise NotImplementedError("kernels only")
 
 
-@overload(change_gain)
+@overload(change_gain, jit_options=INLINED)
 def _change_gain(gain, model, k):
     return _HOOKS[gain.instance_class]
 
@@ -180,19 +180,19 @@ def _leave_gain(gain, model, k):
 gain_hook(OwnGain, _leave_gain)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def begin(model, k, whole):
     """Nothing is to be opened: an event closes each sample."""
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def predict(model, k, dt, part):
     """Carry state and covariance over IMU sample ``k``, which lasts the mean interval: that is what the figures are of."""
     dq = turn(model.state, model.samples.gyro[k], model.figures)
     carry(model.p, dq, model.figures)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def correct(model, k, e):
     """Gravity, and the field where a sample of it arrives with IMU sample ``k``."""
     samples, work, figures = model.samples, model.work, model.figures
@@ -205,7 +205,7 @@ def correct(model, k, e):
     add_correction(model.state, work.x)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def record(model, k):
     """Keep what is known at the end of IMU sample ``k``."""
     note_sample(model.keep, model, k)
@@ -214,14 +214,14 @@ def record(model, k):
 steps(AttitudeFilter, begin, predict, correct, record)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def gyro_turn(state, gyro, figures):
     """Quaternion of the turn in b that one gyro sample tells."""
     dt = figures.interval
     return rotvec_to_quat(((gyro[0] - state[4]) * dt, (gyro[1] - state[5]) * dt, (gyro[2] - state[6]) * dt))
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def turn(state, gyro, figures):
     """Turn the attitude by one gyro sample and let the disturbances decay; returns the quaternion of the turn."""
     dq = gyro_turn(state, gyro, figures)
@@ -234,7 +234,7 @@ def turn(state, gyro, figures):
     return dq
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def carry(p, dq, figures):
     """P = Phi P Phi' + Q for one sample with the turn ``dq``."""
     dt, fb, fa, fd = figures.interval, figures.bias_decay, figures.accel_decay, figures.mag_decay
@@ -269,7 +269,7 @@ def carry(p, dq, figures):
         p[9 + i, 9 + i] += figures.mag_growth
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def observe(model, k):
     """z and what the attitude predicts, into ``work``; returns whether there is a field sample."""
     state, samples, z, seen = model.state, model.samples, model.work.z, model.work.seen
@@ -287,7 +287,7 @@ def observe(model, k):
     return row >= 0
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def inflate(p, gyro, accel, state, figures, work):
     """Raise the variance of linear acceleration, axis by axis, by what shows that there is some: turns and residuals.
 
@@ -305,7 +305,7 @@ def inflate(p, gyro, accel, state, figures, work):
     p[8, 8] += figures.turn_inflation * slow[1] ** 2
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def kalman_gain(p, has_mag, figures, work, k):
     """Gain (transposed, (6,12)) into ``k``, innovation covariance into ``work.s``; ``p`` becomes the updated covariance.
 

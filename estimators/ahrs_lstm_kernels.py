@@ -187,7 +187,7 @@ def multiply_gain(k, out):
     return np.sqrt(total / 72.0)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def ask_network(learner, model, k):
     """Show the network the filter's own step; it answers once in ``every`` samples."""
     work, inputs = model.work, learner.inputs

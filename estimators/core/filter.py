@@ -26,7 +26,7 @@ from estimators.core.propagate import (
     turn_position_errors,
     turn_velocity_errors,
 )
-from estimators.core.timeline import steps
+from estimators.core.timeline import INLINED, steps
 from estimators.core.update import innovation_covariance, update
 from estimators.strapdown import advance, compensate, coning_sculling
 from testbed import earth
@@ -183,12 +183,12 @@ def note_sample(keep, model, k):
     raise NotImplementedError("kernels only")
 
 
-@overload(note_update)
+@overload(note_update, jit_options=INLINED)
 def _note_update(keep, model, e, count, fading):
     return _KEEPERS[keep.instance_class][0]
 
 
-@overload(note_sample)
+@overload(note_sample, jit_options=INLINED)
 def _note_sample(keep, model, k):
     return _KEEPERS[keep.instance_class][1]
 
