@@ -37,7 +37,7 @@ def _printable(value: str) -> str:
 Name = Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(_printable)]
 """What names a row, a window or a manoeuvre in tables, figures and file names."""
 
-JSBSIM = "jsbsim"
+JSBSIM = "<jsbsim>"
 """Tag of a union's member that is taken where nobody writes a tag; so no message shows it."""
 
 Model = TypeVar("Model", bound=BaseModel)

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from testbed import commands, pipeline, registry, runner
+from testbed import cli, commands, pipeline, registry, runner
 from testbed.errors import InputError
 from testbed.readings import COLUMNS, run_readings, slug
 from testbed.report.index import write_index
@@ -168,13 +168,13 @@ def test_the_page_shows_table_plot_and_class(done, tmp_path):
         assert any(all(f" {cell} |" in line for cell in cells) for line in lines)
     assert "**depends on noise**. It holds under “quiet”; fails under “loud”." in text
     assert "Page 1: better. Page 2: worse." in text and "How loud it was: quiet." in text
-    assert "Of 2 claims of our own: 1 depends on noise, 1 source inconsistent." in page.read_text()
+    assert "Of 2 claims of our own: 1 depends on noise, 1 where the source is inconsistent." in page.read_text()
     for picture in sorted((out / "figures").glob("forest-*.png")):
         assert Image.open(picture).width > 600
     assert len(re.findall(r'src="data:image/png', page.read_text())) == 4
     entry = json.loads((out / "report.json").read_text())
     assert entry["verdicts"][0] == "depends on noise" and len(entry["own_verdicts"]) == 2
-    assert "1 in part" in write_index([out], tmp_path / "site").read_text()
+    assert " in part" in write_index([out], tmp_path / "site").read_text()
     again = (out / "report.html").read_bytes()
     commands.report([out], tmp_path / "site")
     assert (out / "report.html").read_bytes() == again
@@ -196,6 +196,32 @@ def test_readings_touch_nothing_foreign_and_say_what_is_missing(file, tmp_path):
     with pytest.raises(InputError, match=r"leaves \[claims\] as it is"):
         validate(ReadingConfig, {"name": "x", "leaves_open": "y", "overlay": {"claims": []}}, "s.toml")
     assert not (tmp_path / "other").exists()
+
+
+def test_the_command_tells_each_class_and_refuses_a_sweep(file, tmp_path, monkeypatch, capsys):
+    def command_line(*more):
+        words = [
+            "run",
+            file,
+            "--readings",
+            "--jobs",
+            "1",
+            "--no-report",
+            "--plugin",
+            mc.PLUGIN,
+            "--out",
+            tmp_path / "cli",
+        ]
+        monkeypatch.setattr("sys.argv", ["testbed", *map(str, [*words, *more])])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return end.value.code, capsys.readouterr()
+
+    code, told = command_line("--sweep", "monte_carlo.seed=1,2")
+    assert code == 2 and "--readings and --sweep: one of them" in told.err and not (tmp_path / "cli").exists()
+    code, told = command_line("--runs", "2")
+    assert not code and [line.split(":")[0] for line in told.out.splitlines()] == ["1", "2", "3", "4", "tables"]
+    assert "reading 2 of 2: loud" in told.err and (tmp_path / "cli" / "verdicts.csv").is_file()
 
 
 def test_shipped_readings_load_and_have_folders_of_their_own():

@@ -26,13 +26,13 @@ from testbed.report.text import markdown_table
 from testbed.schema import validate
 from testbed.scoring.claims import ReadingConfig
 from testbed.scoring.quantities import metric_label
-from testbed.scoring.readings import Standing, standing
+from testbed.scoring.readings import FAILS, HOLDS, INCONSISTENT, Standing, standing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FARTHEST = 150.0
-"""Per cent to either side that a forest plot shows: beyond "none at all" and "two and a half times" the figures say nothing."""
+FARTHEST = 200.0
+"""Per cent to either side that a forest plot shows: beyond "none at all" and "three times as much" the figures say nothing."""
 KIND_COLOURS = {"good": COLOURS[2][0], "part": COLOURS[4][0], "bad": COLOURS[1][0], "open": COLOURS[7][0]}
 
 
@@ -147,7 +147,7 @@ def _overview(parts: list[tuple[dict[str, Any], pd.DataFrame]], standings: list[
     rows = []
     for k, ((claim, effects), where) in enumerate(zip(parts, standings, strict=True), 1):
         ends = percent(effects["effect_pct"].min()), percent(effects["effect_pct"].max())
-        cells = [Cell(_claim_text(claim)), Cell("the source’s" if claim["origin"] == "paper" else "our own")]
+        cells = [Cell(_claim_text(claim)), Cell("source" if claim["origin"] == "paper" else "own")]
         cells += [Cell(" to ".join(dict.fromkeys(ends))), Cell(where.word, kind=verdict_kind(where.word))]
         rows.append((_name(claim, k), cells))
     return Table("classes", "Claims", columns, rows, corner="No.")
@@ -200,9 +200,14 @@ def _sentence(parts: list[tuple[dict[str, Any], pd.DataFrame]], standings: list[
     said = []
     for origin, whose in (("paper", "the source"), ("own", "our own")):
         words = [where.word for (claim, _), where in zip(parts, standings, strict=True) if claim["origin"] == origin]
-        counts = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
+        counts = ", ".join(_counted(word, words.count(word)) for word in dict.fromkeys(words))
         said += [f"Of {len(words)} claim{'s' * (len(words) != 1)} of {whose}: {counts}."] if words else []
     return " ".join(said)
+
+
+def _counted(word: str, count: int) -> str:
+    plural = {HOLDS: "hold", FAILS: "fail", INCONSISTENT: "where the source is inconsistent"}
+    return f"{count} {plural.get(word, word) if count > 1 or word == INCONSISTENT else word}"
 
 
 def _entry(
