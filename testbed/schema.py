@@ -37,7 +37,7 @@ def _printable(value: str) -> str:
 Name = Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(_printable)]
 """What names a row, a window or a manoeuvre in tables, figures and file names."""
 
-JSBSIM = "<jsbsim>"
+JSBSIM = "jsbsim"
 """Tag of a union's member that is taken where nobody writes a tag; so no message shows it."""
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -132,7 +132,8 @@ def _without_consequences(model: type[BaseModel], problems: list[dict[str, Any]]
 
 def _explain(model: type[BaseModel], problem: dict[str, Any]) -> str:
     loc, kind = problem["loc"], problem["type"]
-    place = ".".join(str(part) for part in loc if part != JSBSIM) or "(top level)"
+    tagged = [k for k, part in enumerate(loc) if part == JSBSIM and loc[k - 1 : k] == ("flight",)]
+    place = ".".join(str(part) for k, part in enumerate(loc) if k not in tagged) or "(top level)"
     if kind == "extra_forbidden":
         fields = _fields_at(model, loc[:-1])
         return f"'{place}' is not a known key; {nearest(str(loc[-1]), fields)}"

@@ -94,7 +94,7 @@ VALUES = {
 def test_values_that_mean_nothing(key, workplace):
     value, told = VALUES[key]
     if key.startswith("flight.duration_s"):
-        changes = {"monte_carlo.disperse": {}, "windows": [], "sensors.gnss.outages": []}
+        changes = {"monte_carlo.disperse": {}, "monte_carlo.vary": ["noise"], "windows": [], "sensors.gnss.outages": []}
     else:
         changes = {"sensors.gnss.outages": []} if "random_outages" in key else {}
     file = write({**changes, key.strip(): value})
