@@ -29,7 +29,7 @@ FIRST, CAP = 30, 200
 """Runs per reading: from where a mean of skewed errors is near enough to normal for its interval, to what an evening affords."""
 COLUMNS = (
     "claim reading effect_pct ci_low ci_high runs verdict class origin stated_pct margin_pct p_holm "
-    "median_pct median_low median_high lost_better lost_than runaways"
+    "median_pct median_low median_high lost_better lost_than runaways trimmed_pct"
 ).split()
 
 Load = Callable[[str | None], Scenario]

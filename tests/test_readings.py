@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 
 import monte_carlo as mc
 import pandas as pd
@@ -86,9 +87,10 @@ def reading(name, **conditions):
         (("reproduced", "not tested", "reproduced"), "holds"),
         (("not reproduced", "direction reproduced", "reversed"), "fails"),
         (("reproduced", "reproduced", "reversed"), "depends on noise"),
-        (("reproduced", "undecided", "reversed"), "depends on noise and place"),
-        (("reproduced", "reversed", "reproduced"), "depends on the reading"),
-        (("not tested", "undecided", "depends on runaways"), "not tested"),
+        (("reproduced", "undecided", "reversed"), "depends on noise or place"),
+        (("reproduced", "reversed", "reproduced"), "depends on noise and place"),
+        (("not tested", "undecided", "depends on runaways"), "depends on runaways"),
+        (("not tested", "not tested", "not tested"), "not tested"),
     ],
 )
 def test_class_of_a_claim(verdicts, word):
@@ -178,6 +180,18 @@ def test_the_page_shows_table_plot_and_class(done, tmp_path):
     again = (out / "report.html").read_bytes()
     commands.report([out], tmp_path / "site")
     assert (out / "report.html").read_bytes() == again
+
+
+def test_damaged_readings_are_named(done, tmp_path):
+    folder = tmp_path / "damaged"
+    shutil.copytree(done, folder)
+    pd.read_csv(folder / "verdicts.csv").drop(columns="verdict").to_csv(folder / "verdicts.csv")
+    (folder / "verdicts-timings.csv").unlink()
+    with pytest.raises(InputError, match=r"damaged: damaged readings: verdicts.csv lacks verdict"):
+        write_page(folder)
+    (folder / "verdicts.csv").unlink()
+    with pytest.raises(InputError, match=r"verdicts.csv is missing"):
+        write_page(folder)
 
 
 def test_readings_touch_nothing_foreign_and_say_what_is_missing(file, tmp_path):

@@ -17,7 +17,7 @@ from testbed.csv_text import read_csv
 from testbed.errors import InputError
 from testbed.files import as_json
 from testbed.folders import Folder, read_manifest
-from testbed.readings import KIND, slug
+from testbed.readings import COLUMNS, KIND, slug
 from testbed.report import html
 from testbed.report.figures import WIDTH, Drawing, save
 from testbed.report.labels import COLOURS, percent, verdict_kind, window_label
@@ -125,7 +125,12 @@ def _limits(rows: pd.DataFrame, *marks: float) -> tuple[float, float]:
 def _verdicts(folder: Path) -> pd.DataFrame:
     paths = [folder / "verdicts.csv", folder / "verdicts-timings.csv"]
     frames = [read_csv(path, dtype={"runaways": str, "claim": str}) for path in paths if path.is_file()]
-    return pd.concat(frames, ignore_index=True)
+    if not frames:
+        raise ValueError("verdicts.csv is missing")
+    table = pd.concat(frames, ignore_index=True)
+    if lacking := [name for name in COLUMNS if name not in table]:
+        raise ValueError(f"verdicts.csv lacks {', '.join(lacking)}")
+    return table
 
 
 def _rows_of(table: pd.DataFrame, claim: dict[str, Any], number: int) -> pd.DataFrame:
@@ -172,9 +177,10 @@ def _table(rows: pd.DataFrame) -> Table:
 
 def _uneven(row: dict[Any, Any]) -> str:
     """Lost runs and runaways behind an effect."""
-    parts = (
-        [f"runs far above all others: {row['runaways'].replace(' ', ', ')}"] if isinstance(row["runaways"], str) else []
-    )
+    parts = []
+    if isinstance(row["runaways"], str):
+        runs, without = row["runaways"].replace(" ", ", "), percent(row["trimmed_pct"])
+        parts.append(f"runs far above all others: {runs} (effect without them {without} %)")
     lost = [int(row[f"lost_{side}"]) for side in ("better", "than")]
     parts += [f"runs lost: {lost[0]} of the first method, {lost[1]} of the second"] if any(lost) else []
     return "; ".join(parts)
@@ -207,7 +213,8 @@ def _sentence(parts: list[tuple[dict[str, Any], pd.DataFrame]], standings: list[
 
 def _counted(word: str, count: int) -> str:
     plural = {HOLDS: "hold", FAILS: "fail", INCONSISTENT: "where the source is inconsistent"}
-    return f"{count} {plural.get(word, word) if count > 1 or word == INCONSISTENT else word}"
+    several = plural.get(word, word.replace("depends", "depend"))
+    return f"{count} {several if count > 1 or word == INCONSISTENT else word}"
 
 
 def _entry(

@@ -23,7 +23,7 @@ from testbed.store import Store, open_result, optional_part
 
 CLAIMS = (
     "id text paper_pct measured_pct ci_low ci_high verdict n better than origin margin_pct p_holm median_pct "
-    "lost_better lost_than runaways"
+    "lost_better lost_than runaways trimmed_pct"
 )
 CSV_COLUMNS = {
     "summary": "estimator window metric n mean std median p05 p95 ci_low ci_high",

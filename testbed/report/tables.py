@@ -128,7 +128,8 @@ def claim_cells(claim: Mapping[Any, Any]) -> list[Cell]:
 def _uneven(claim: Mapping[Any, Any]) -> str:
     """What a claim's means hide: runs far above all others, and runs that one of the two lost."""
     runs = claim["runaways"].split() if isinstance(claim["runaways"], str) else []
-    parts = [f"run{'s' * (len(runs) > 1)} {', '.join(runs)} far above all others"] if runs else []
+    without = f" (without: {percent(claim['trimmed_pct'])} %)"
+    parts = [f"run{'s' * (len(runs) > 1)} {', '.join(runs)} far above all others{without}"] if runs else []
     for side in ("better", "than"):
         if lost := int(_value(claim[f"lost_{side}"]) or 0):
             parts.append(f"{lost} run{'s' * (lost > 1)} lost by {claim[side]}")

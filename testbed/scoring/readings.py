@@ -2,13 +2,14 @@
 
 A reading's verdict is that of `testbed.scoring.verdicts` in the reading's own Monte Carlo. "Holds" means *reproduced*; all other
 verdicts that decide something are "fails" (*direction reproduced* too: the figure is not reached); *not tested*, *undecided*
-and *depends on runaways* are open.
+and *depends on runaways* are open, and a claim that has nothing else gets their name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 from testbed.scoring.verdicts import LESS, NOT_TESTED, REPRODUCED, RUNAWAYS, UNDECIDED
@@ -38,7 +39,7 @@ def standing(readings: Sequence[ReadingConfig], verdicts: Mapping[str, str], con
     parts += [("fails under", [r for r in fails if r not in less]), ("is open under", unclear)]
     sentence = "; ".join(f"{words} {_names(part)}" for words, part in parts if part)
     if not holds and not fails:
-        word = NOT_TESTED
+        word = next((word for word in (RUNAWAYS, UNDECIDED) if word in verdicts.values()), NOT_TESTED)
     elif not holds or not fails:
         word = HOLDS if holds else FAILS
     else:
@@ -49,14 +50,20 @@ def standing(readings: Sequence[ReadingConfig], verdicts: Mapping[str, str], con
 
 
 def _separating(holds: Sequence[ReadingConfig], fails: Sequence[ReadingConfig]) -> str:
-    """The conditions that alone tell the readings where a claim holds from those where it fails; else "the reading"."""
-    conditions = dict.fromkeys(name for reading in (*holds, *fails) for name in reading.conditions)
-    found = []
-    for name in conditions:
-        one, other = ({reading.conditions.get(name) for reading in part} for part in (holds, fails))
-        if not one & other:
-            found.append(name)
-    return " and ".join(found) or "the reading"
+    """The fewest conditions that tell the readings where a claim holds from those where it fails; else "the reading".
+
+    "One or other" where either alone does, so that the readings tried cannot tell which; "one and other" where it takes both.
+    """
+    conditions = list(dict.fromkeys(name for reading in (*holds, *fails) for name in reading.conditions))
+    for size in range(1, len(conditions) + 1):
+        found = []
+        for names in combinations(conditions, size):
+            one, other = ({tuple(r.conditions.get(name) for name in names) for r in part} for part in (holds, fails))
+            if not one & other:
+                found.append(" and ".join(names))
+        if found:
+            return " or ".join(found)
+    return "the reading"
 
 
 def _names(readings: Sequence[ReadingConfig]) -> str:

@@ -33,9 +33,10 @@ if TYPE_CHECKING:
 
 COLUMNS = (
     "id text paper_pct measured_pct ci_low ci_high verdict p_value n better than metric window "
-    "origin kind margin_pct p_holm median_pct median_low median_high lost_better lost_than runaways"
+    "origin kind margin_pct p_holm median_pct median_low median_high lost_better lost_than runaways trimmed_pct"
 ).split()
-"""Of ``claims.csv``. ``median_pct``: of the paired ratios; ``lost_``: runs without a value; ``runaways``: their numbers."""
+"""Of ``claims.csv``. ``median_pct``: of the paired ratios; ``lost_``: runs without a value; ``runaways``: their numbers, and
+``trimmed_pct`` the effect without them."""
 ALPHA = 1.0 - LEVEL
 AS_PRINTED_PCT = 0.05
 """An effect below this prints as 0.0 % and is none, however certain."""
@@ -148,6 +149,7 @@ def _row(claim: ClaimConfig, number: str, measured: Effect | None, runs: Sequenc
         "lost_better": found.lost[0],
         "lost_than": found.lost[1],
         "runaways": " ".join(map(str, far)),
+        "trimmed_pct": found.trimmed.percent if found.trimmed else math.nan,
     }
 
 
