@@ -120,8 +120,8 @@ def dataset_key(scenario: Scenario) -> str:
 
 def draw_flight(scenario: Scenario, config: DatasetConfig, rng: np.random.Generator) -> FlightConfig:
     """One drawn flight: script, payload, wind, turbulence and start."""
-    if scenario.flight is None:
-        raise InputError(f"{scenario.source_path}: a data set needs a scenario with [flight]")
+    if not isinstance(scenario.flight, FlightConfig):
+        raise InputError(f"{scenario.source_path}: a data set needs a scenario with [flight] and an aircraft")
     direction, strength = rng.uniform(0.0, 2.0 * math.pi), config.wind_mps * math.sqrt(rng.uniform())
     initial = scenario.flight.initial.model_dump() | {
         "alt_m": _between(rng, config.alt_m),

@@ -46,9 +46,7 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
     if log.gnss is not None:
         files["gnss.parquet"] = _parquet(_thin(log.frames()["gnss"]))
     sensors = {
-        key: specs.to_dict(part.spec)
-        for key in ("imu", "gnss", "mag", "baro")
-        if (part := getattr(log, key)) is not None
+        key: specs.to_dict(part.spec) for key, part in [("imu", log.imu), *log.aiding.items()] if hasattr(part, "spec")
     }
     info: dict[str, Any] = {
         "name": scenario.name,

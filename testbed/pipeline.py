@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from testbed.flight.config import FlightConfig
+    from testbed.flight.drive import DriveConfig
 
 
 @contextmanager
@@ -45,10 +46,8 @@ def flight_varies(scenario: Scenario) -> bool:
     )
 
 
-def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig, int]:
+def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig | DriveConfig, int]:
     """The flight that run ``run`` flies, and its turbulence seed."""
-    from testbed.flight.config import FlightConfig
-
     if scenario.flight is None:
         raise InputError(f"{scenario.source_path}: the scenario is a recording; there is nothing to fly")
     config, settings = scenario.flight, scenario.monte_carlo
@@ -57,7 +56,7 @@ def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig, int]:
         for key, distribution in settings.disperse.items():
             rng = stream(settings.seed, run, f"flight.{key}")
             set_key(data, key, distribution.draw(rng), f"{scenario.source_path}: monte_carlo.disperse")
-        config = validate(FlightConfig, data, f"{scenario.source_path}: flight of run {run}")
+        config = validate(type(config), data, f"{scenario.source_path}: flight of run {run}")
     seed = settings.seed + run if "turbulence" in settings.vary else settings.seed
     return config, seed
 
@@ -116,7 +115,7 @@ def truth_at_imu(trajectory: Trajectory, log: SensorLog) -> Trajectory:
     arm = np.array(log.imu.spec.lever_arm_b)
     if not arm.any():
         return trajectory
-    from testbed.sensors.gnss import point_state
+    from testbed.interpolate import point_state
 
     lat, lon, h, v_n = point_state(trajectory, trajectory.t, arm)
     return replace(trajectory, lat=lat, lon=lon, h=h, v_n=v_n)

@@ -11,7 +11,8 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import EllipsisType
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,14 +126,28 @@ class ImuSamples:
 
 
 @dataclass(frozen=True)
-class GnssFixes:
+class Samples:
+    """Base of what an aiding sensor records: ``t`` (M,), s, and fields whose shapes behind M stand in ``shapes``.
+
+    A subclass adds the fields and ``spec``, the sensor's specification, which a filter may know.
+    """
+
+    t: Array
+    kind: ClassVar[str] = ""
+    shapes: ClassVar[Mapping[str, tuple[int | None, ...]]] = {}
+
+    def __post_init__(self) -> None:
+        _check(self, f"SensorLog.{self.kind}", dict(self.shapes), minimum=0)
+
+
+@dataclass(frozen=True)
+class GnssFixes(Samples):
     """``t`` (M,), ``lat``, ``lon`` (rad), ``h`` (m), ``v_n`` (M,3): of the antenna. No rows while there is an outage.
 
     ``outages`` are the (start, end) times without fixes, as far as the receiver reports them. ``std`` (M,6), where it
     is given, is the 1-sigma of each fix (m north, east, down; m/s) as the receiver states it.
     """
 
-    t: Array
     lat: Array
     lon: Array
     h: Array
@@ -140,9 +155,8 @@ class GnssFixes:
     spec: GnssSpec = field(default_factory=GnssSpec)
     outages: tuple[tuple[float, float], ...] = ()
     std: Array | None = None
-
-    def __post_init__(self) -> None:
-        _check(self, "SensorLog.gnss", {"lat": (), "lon": (), "h": (), "v_n": (3,)}, minimum=0)
+    kind: ClassVar[str] = "gnss"
+    shapes: ClassVar[Mapping[str, tuple[int | None, ...]]] = {"lat": (), "lon": (), "h": (), "v_n": (3,)}
 
     def measurement_std(self) -> Array:
         """(M,6) 1-sigma per fix: the receiver's own, else the specification's. Order m N, E, D, then m/s N, E, D."""
@@ -156,27 +170,23 @@ class GnssFixes:
 
 
 @dataclass(frozen=True)
-class MagSamples:
+class MagSamples(Samples):
     """``t`` (M,), ``field`` (M,3) in µT along b."""
 
-    t: Array
     field: Array
     spec: MagSpec
-
-    def __post_init__(self) -> None:
-        _check(self, "SensorLog.mag", {"field": (3,)}, minimum=0)
+    kind: ClassVar[str] = "mag"
+    shapes: ClassVar[Mapping[str, tuple[int | None, ...]]] = {"field": (3,)}
 
 
 @dataclass(frozen=True)
-class BaroSamples:
+class BaroSamples(Samples):
     """``t`` (M,), ``pressure`` (M,) in Pa."""
 
-    t: Array
     pressure: Array
     spec: BaroSpec
-
-    def __post_init__(self) -> None:
-        _check(self, "SensorLog.baro", {"pressure": ()}, minimum=0)
+    kind: ClassVar[str] = "baro"
+    shapes: ClassVar[Mapping[str, tuple[int | None, ...]]] = {"pressure": ()}
 
 
 @dataclass(frozen=True)
@@ -194,53 +204,87 @@ class InitialState:
     std: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class SensorLog:
-    """Exactly what a filter may know: recordings, the sensors' specifications, and the initial state. No truth."""
+    """Exactly what a filter may know: recordings, the sensors' specifications, and the initial state. No truth.
+
+    ``aiding`` maps a kind of sensor (``gnss``, ``mag``, ``baro``, ``odometer``, one's own) to its `Samples`. A kind is also
+    an attribute, and a keyword here: ``log.gnss``, None where the log has none.
+    """
 
     imu: ImuSamples
     initial: InitialState
-    gnss: GnssFixes | None = None
-    mag: MagSamples | None = None
-    baro: BaroSamples | None = None
-    name: str = ""
+    aiding: Mapping[str, Samples]
+    name: str
+
+    def __init__(
+        self,
+        imu: ImuSamples,
+        initial: InitialState,
+        gnss: GnssFixes | EllipsisType | None = ...,
+        mag: MagSamples | EllipsisType | None = ...,
+        baro: BaroSamples | EllipsisType | None = ...,
+        name: str = "",
+        aiding: Mapping[str, Samples] | None = None,
+        **others: Samples | None,
+    ) -> None:
+        given = {"gnss": gnss, "mag": mag, "baro": baro, **others}
+        changed = dict(aiding or {}) | {kind: samples for kind, samples in given.items() if samples is not ...}
+        for key, value in (("imu", imu), ("initial", initial), ("name", name)):
+            object.__setattr__(self, key, value)
+        object.__setattr__(self, "aiding", {kind: samples for kind, samples in changed.items() if samples is not None})
+
+    if TYPE_CHECKING:
+        gnss: ClassVar[GnssFixes | None]
+        mag: ClassVar[MagSamples | None]
+        baro: ClassVar[BaroSamples | None]
+
+    def __getattr__(self, kind: str) -> Any:
+        """Samples of a kind; None for one that the bench knows and this log lacks."""
+        if kind.startswith("_") or kind == "aiding":
+            raise AttributeError(kind)
+        if kind in self.aiding:
+            return self.aiding[kind]
+        if kind in ("gnss", "mag", "baro") or kind in _sensors():
+            return None
+        raise AttributeError(f"a SensorLog has no '{kind}'; this one has {', '.join(['imu', *self.aiding])}")
 
     def to_frame(self) -> pd.DataFrame:
         """The IMU table: ``time_s, gyro_x_radps.., accel_x_mps2..``. Aiding sensors: see `frames`."""
         return self.frames()["imu"]
 
     def frames(self) -> dict[str, pd.DataFrame]:
-        """One DataFrame per sensor that the log has: ``imu``, ``gnss``, ``mag``, ``baro``."""
+        """One DataFrame per sensor that the log has: ``imu``, ``gnss``, ``mag`` ..., with the unit in each column's name."""
         import pandas as pd
 
         imu = self.imu
         gyro, accel = columns("gyro_{}_radps", "xyz", imu.gyro), columns("accel_{}_mps2", "xyz", imu.accel)
         out = {"imu": pd.DataFrame({"time_s": imu.t} | gyro | accel)}
-        if (gnss := self.gnss) is not None:
-            lla = {"time_s": gnss.t, "lat_deg": np.degrees(gnss.lat), "lon_deg": np.degrees(gnss.lon), "alt_m": gnss.h}
-            velocity = columns("v_{}_mps", ("north", "east", "down"), gnss.v_n)
-            out["gnss"] = pd.DataFrame(
-                lla | velocity | ({} if gnss.std is None else columns("std_{}", range(6), gnss.std))
-            )
-        if self.mag is not None:
-            out["mag"] = pd.DataFrame({"time_s": self.mag.t} | columns("mag_{}_ut", "xyz", self.mag.field))
-        if self.baro is not None:
-            out["baro"] = pd.DataFrame({"time_s": self.baro.t, "pressure_pa": self.baro.pressure})
+        for kind, samples in self.aiding.items():
+            table = _sensors()[kind].table(samples) if kind in _sensors() else _plain_table(samples)
+            out[kind] = pd.DataFrame(table)
+        if self.gnss is not None and self.gnss.std is not None:
+            out["gnss"] = out["gnss"].assign(**columns("std_{}", range(6), self.gnss.std))
         return out
 
     def save(self, path: str | Path) -> None:
-        """Write a folder: ``imu.parquet`` and one file per aiding sensor."""
+        """Write a folder: ``imu.parquet`` and one file per aiding sensor. Raises InputError for a sensor that is not known."""
+        import pandas as pd
+
+        if unknown := sorted(set(self.aiding) - set(_sensors())):
+            raise InputError(
+                f"{path}: no sensor of the bench is called '{unknown[0]}', so that it could not be read again"
+            )
         folder = Path(path)
         folder.mkdir(parents=True, exist_ok=True)
         initial = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self.initial).items()}
-        for key, frame in self.frames().items():
-            meta: dict[str, Any] = {"spec": specs.to_dict(getattr(self, key).spec)}
-            if key == "imu":
-                meta |= {"initial": initial, "name": self.name}
-            elif key == "gnss" and self.gnss is not None:
-                frame = frame.assign(lat_rad=self.gnss.lat, lon_rad=self.gnss.lon)
-                meta["outages"] = list(self.gnss.outages)
-            write_table(frame, folder / f"{key}.parquet", f"SensorLog.{key}", meta)
+        head = {"spec": specs.to_dict(self.imu.spec), "initial": initial, "name": self.name}
+        write_table(self.to_frame(), folder / "imu.parquet", "SensorLog.imu", head)
+        for kind, samples in self.aiding.items():
+            sensor = _sensors()[kind]
+            table, more = (sensor.table(samples), {}) if sensor.write is None else sensor.write(samples)
+            meta = {"spec": specs.to_dict(samples.spec)} | more  # type: ignore[attr-defined]
+            write_table(pd.DataFrame(table), folder / f"{kind}.parquet", f"SensorLog.{kind}", meta)
 
     @classmethod
     def load(cls, path: str | Path) -> SensorLog:
@@ -250,28 +294,30 @@ class SensorLog:
         initial: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v for k, v in meta["initial"].items()}
         gyro, accel = stack(table, "gyro_{}_radps", "xyz"), stack(table, "accel_{}_mps2", "xyz")
         imu = ImuSamples(table["time_s"], gyro, accel, specs.from_dict(ImuSpec, meta["spec"]))
-        gnss, mag, baro = None, None, None
-        if (folder / "gnss.parquet").exists():
-            table, other = read_table(folder / "gnss.parquet", "SensorLog.gnss")
-            gnss = GnssFixes(
-                t=table["time_s"],
-                lat=table["lat_rad"],
-                lon=table["lon_rad"],
-                h=table["alt_m"],
-                v_n=stack(table, "v_{}_mps", ("north", "east", "down")),
-                spec=specs.from_dict(GnssSpec, other["spec"]),
-                outages=tuple((a, b) for a, b in other["outages"]),
-                std=stack(table, "std_{}", range(6)) if "std_0" in table else None,
-            )
-        if (folder / "mag.parquet").exists():
-            table, other = read_table(folder / "mag.parquet", "SensorLog.mag")
-            values = stack(table, "mag_{}_ut", "xyz")
-            mag = MagSamples(table["time_s"], values, specs.from_dict(MagSpec, other["spec"]))
-        if (folder / "baro.parquet").exists():
-            table, other = read_table(folder / "baro.parquet", "SensorLog.baro")
-            spec = specs.from_dict(BaroSpec, other["spec"])
-            baro = BaroSamples(table["time_s"], table["pressure_pa"], spec)
-        return cls(imu, InitialState(**initial), gnss, mag, baro, meta["name"])
+        aiding = {}
+        for kind, sensor in _sensors().items():
+            if (folder / f"{kind}.parquet").exists():
+                table, other = read_table(folder / f"{kind}.parquet", f"SensorLog.{kind}")
+                spec = specs.from_dict(sensor.spec, other["spec"])
+                known = sensor.read is None
+                aiding[kind] = sensor.from_table(table, spec) if known else sensor.read(table, other, spec)
+        return cls(imu, InitialState(**initial), name=meta["name"], aiding=aiding)
+
+
+def _sensors() -> dict[str, Any]:
+    """The registered sensors, whose modules build on this one."""
+    from testbed.sensors.registry import SENSORS
+
+    return SENSORS
+
+
+def _plain_table(samples: Any) -> dict[str, Array]:
+    """Of samples that no registered sensor describes: time and the fields named in ``shapes``, a vector's by number."""
+    out = {"time_s": samples.t}
+    for name in samples.shapes:
+        values = np.asarray(getattr(samples, name))
+        out |= {name: values} if values.ndim == 1 else columns(name + "_{}", range(values.shape[1]), values)
+    return out
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Discriminator, Field, PrivateAttr, Tag, model_validator
 
 from testbed import resources
 from testbed.errors import OWN, InputError, nearest
 from testbed.flight.config import FlightConfig
+from testbed.flight.drive import DriveConfig
 from testbed.formats.config import RecordingConfig
-from testbed.schema import Table, dump_toml, read_toml, validate
-from testbed.sensors.config import InitialConfig, SensorsConfig
+from testbed.schema import JSBSIM, Table, dump_toml, read_toml, validate
+from testbed.sensors.config import InitialConfig
+from testbed.sensors.registry import SensorsConfig
 
 if TYPE_CHECKING:
     import numpy as np
@@ -144,11 +146,21 @@ class TableConfig(Table):
     note: str = ""
 
 
+def _maker(data: Any) -> str:
+    """Tag of the maker of a motion, for data or a configuration."""
+    found = data.get("type", JSBSIM) if isinstance(data, Mapping) else getattr(data, "type", JSBSIM)
+    return str(found)
+
+
+Motion = Annotated[Annotated[FlightConfig, Tag(JSBSIM)] | Annotated[DriveConfig, Tag("drive")], Discriminator(_maker)]
+"""``[flight]``: flown by JSBSim where it does not say otherwise."""
+
+
 class Scenario(Table):
     """A checked scenario. Exactly one of ``flight`` and ``recording`` is set."""
 
     scenario: Header
-    flight: FlightConfig | None = None
+    flight: Motion | None = None
     recording: RecordingConfig | None = None
     sensors: SensorsConfig | None = None
     initial: InitialConfig = InitialConfig()
@@ -232,7 +244,7 @@ class Scenario(Table):
         for sensor in data.get("sensors", {}).values():
             if isinstance(sensor, dict) and "file" in sensor:
                 sensor["file"] = hashlib.sha256(Path(sensor["file"]).read_bytes()).hexdigest()
-        if self.flight is not None and "/" in self.flight.aircraft:
+        if isinstance(self.flight, FlightConfig) and "/" in self.flight.aircraft:
             from testbed.flight.cache import content_of
 
             data["flight"]["aircraft"] = hashlib.sha256(content_of(Path(self.flight.aircraft))).hexdigest()

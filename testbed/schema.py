@@ -24,6 +24,9 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+JSBSIM = "jsbsim"
+"""Tag of a union's member that is taken where nobody writes a tag; so no message shows it."""
+
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -64,7 +67,7 @@ def _without_consequences(model: type[BaseModel], problems: list[dict[str, Any]]
 
 def _explain(model: type[BaseModel], problem: dict[str, Any]) -> str:
     loc, kind = problem["loc"], problem["type"]
-    shown = ".".join(str(part) for part in loc) or "(top level)"
+    shown = ".".join(str(part) for part in loc if part != JSBSIM) or "(top level)"
     if kind == "extra_forbidden":
         fields = _fields_at(model, loc[:-1])
         return f"'{shown}' is not a known key; {nearest(str(loc[-1]), fields)}"
@@ -75,8 +78,10 @@ def _explain(model: type[BaseModel], problem: dict[str, Any]) -> str:
         return f"'{shown}': the key {problem['ctx']['discriminator']} is missing"
     if kind == "union_tag_invalid":
         context = problem["ctx"]
+        key = context["discriminator"].strip(chr(39))
+        key = "type" if key.endswith("()") else key  # found by a function, as the tag may be left out
         valid = [name.strip(" '") for name in context["expected_tags"].split(",")]
-        return f"'{shown}': unknown {context['discriminator'].strip(chr(39))} '{context['tag']}'; {nearest(context['tag'], valid)}"
+        return f"'{shown}': unknown {key} '{context['tag']}'; {nearest(context['tag'], valid)}"
     got = problem.get("input")
     value = f", got {got!r}" if isinstance(got, str | int | float | bool) else ""
     if kind in ("float_type", "int_type") and isinstance(got, str):

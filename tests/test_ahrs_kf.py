@@ -174,7 +174,8 @@ def flight():
     from testbed.flight import fly_flight
     from testbed.flight.config import FlightConfig
     from testbed.sensors import sense_flight
-    from testbed.sensors.config import InitialConfig, SensorsConfig
+    from testbed.sensors.config import InitialConfig
+    from testbed.sensors.registry import SensorsConfig
 
     script = [
         {"type": "straight", "duration_s": 40.0},

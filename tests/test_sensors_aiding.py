@@ -13,8 +13,9 @@ from testbed.rotations import attitude_error, eulers_to_quats, quats_to_matrices
 from testbed.schema import validate
 from testbed.sensors import sense_flight
 from testbed.sensors.barometer import isa_height, isa_pressure
-from testbed.sensors.config import InitialConfig, SensorsConfig
+from testbed.sensors.config import InitialConfig
 from testbed.sensors.magnetometer import field_n
+from testbed.sensors.registry import SensorsConfig
 from testbed.specs import GAUSS_MARKOV_PEAK
 
 

@@ -253,6 +253,7 @@ def manoeuvre_keys() -> dict[str, tuple[str, str]]:
 class FlightConfig(Table):
     """``[flight]``: who flies what. ``duration_s`` cuts the script short, or ends it with straight flight."""
 
+    type: Literal["jsbsim"] = Field(default="jsbsim", exclude=True, description="Who makes the motion: JSBSim")
     aircraft: str
     """Name of a shipped one, or a folder of the user's own: anything with a ``/``, from the scenario's folder on."""
     rate_hz: float = Field(default=100.0, ge=10, le=1000)

@@ -19,9 +19,10 @@ from testbed.formats.alignment import align, cut_before
 from testbed.formats.config import RecordingConfig
 from testbed.formats.recording import Recording, reference_on_grid
 from testbed.records import Array, BaroSamples, GnssFixes, ImuSamples, InitialState, MagSamples, SensorLog, Trajectory
+from testbed.sensors.registry import SENSORS
 from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 
-KINDS: dict[str, type] = {"imu": ImuSpec, "gnss": GnssSpec, "mag": MagSpec, "baro": BaroSpec}
+KINDS: dict[str, type] = {"imu": ImuSpec} | {kind: sensor.spec for kind, sensor in SENSORS.items()}
 
 
 def load(config: RecordingConfig, folder: Path) -> Recording:
@@ -41,7 +42,7 @@ def _load_navego(config: RecordingConfig, root: Path, folder: Path) -> Recording
 
     recording = navego.load(root, config.files, config.sampling, config.initial.start)
     log = recording.log
-    changed = {kind: _respecify(config, folder, kind, getattr(log, kind)) for kind in KINDS}
+    changed = {kind: _respecify(config, folder, kind, getattr(log, kind)) for kind in ("imu", "gnss", "mag", "baro")}
     return _cut(config, Recording(replace(log, **changed), recording.reference), str(root))
 
 
@@ -62,6 +63,8 @@ class Raw:
         self.gnss: GnssFixes | None = None
         self.mag: MagSamples | None = None
         self.baro: BaroSamples | None = None
+        self.others: dict[str, Any] = {}
+        """Samples of further sensors by their kind."""
         self.motion: tuple[Array, ...] | None = None
         self.stated: set[str] = set()
         self.initial: InitialState | None = None
@@ -117,6 +120,9 @@ class Raw:
             self.baro = BaroSamples(
                 parts["baro"]["time"], parts["baro"]["pressure"], spec["baro"] or BaroSpec("unknown")
             )
+        for kind in set(parts) & set(SENSORS) - {"gnss", "mag", "baro"}:
+            unknown = SENSORS[kind].spec(name="unknown")
+            self.others[kind] = SENSORS[kind].from_stems(parts[kind], spec[kind] or unknown)
         if (r := parts.get("reference")) is not None:
             v_n = tables.block("reference", ["v_north", "v_east", "v_down"])
             self.motion = (r["time"], r["lat"], r["lon"], r["alt"], v_n, tables.quaternions())
@@ -125,7 +131,7 @@ class Raw:
 def _finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Recording:
     """Specifications, reference on the IMU grid, initial state, wanted time."""
     assert raw.imu is not None
-    samples = {kind: _respecify(config, folder, kind, getattr(raw, kind)) for kind in KINDS}
+    samples = {kind: _respecify(config, folder, kind, getattr(raw, kind)) for kind in ("imu", "gnss", "mag", "baro")}
     for kind in ("imu", "gnss"):
         if samples[kind] is not None and kind not in raw.stated and not getattr(config, kind):
             raise InputError(
@@ -140,7 +146,8 @@ def _finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Reco
     if initial is None:
         aligned = align(config.initial, imu, gnss, samples["mag"], reference, t_start, place)
         imu, gnss, initial = aligned.imu, aligned.gnss, aligned.initial
-    log = SensorLog(imu, initial, gnss, _after(samples["mag"], initial.t), _after(samples["baro"], initial.t), raw.name)
+    aiding = {kind: _after(values, initial.t) for kind, values in {**samples, **raw.others}.items() if kind != "imu"}
+    log = SensorLog(imu, initial, name=raw.name, aiding=aiding | {"gnss": gnss})
     return _cut(config, Recording(log, reference), place)
 
 

@@ -29,6 +29,7 @@ from testbed.formats import column_units
 from testbed.formats.recording import check_finite, check_place, check_time, existing
 from testbed.records import Array, SensorLog, Trajectory
 from testbed.rotations import eulers_to_quats
+from testbed.sensors.registry import SENSORS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,9 +44,10 @@ REQUIRED: dict[str, dict[str, str]] = {
     "imu": {"time": "time"}
     | {f"gyro_{a}": "angular rate" for a in _XYZ}
     | {f"accel_{a}": "acceleration" for a in _XYZ},
-    "gnss": {"time": "time"} | _PLACE,
-    "mag": {"time": "time"} | {f"mag_{a}": "magnetic field" for a in _XYZ},
-    "baro": {"time": "time", "pressure": "pressure"},
+    **{
+        kind: {"time": "time"} | {stem: q for column in sensor.columns for stem, q in column.stems().items()}
+        for kind, sensor in SENSORS.items()
+    },
     "reference": {"time": "time"} | _PLACE,
 }
 """Part -> stem of each column -> quantity."""
@@ -125,8 +127,8 @@ def save_log(log: SensorLog, folder: str | Path, kind: str = "csv", reference: T
     for name, frame in frames.items():
         write_frame(frame, folder / f"{name}.{kind}")
     stored: dict[str, Any] = {"name": log.name}
-    for part in ("imu", "gnss", "mag", "baro"):
-        if (samples := getattr(log, part)) is not None:
+    for part, samples in [("imu", log.imu), *log.aiding.items()]:
+        if hasattr(samples, "spec"):
             stored[part] = specs.to_dict(samples.spec)
     if log.gnss is not None:
         stored["outages"] = [list(o) for o in log.gnss.outages]

@@ -19,6 +19,8 @@ from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 
 SHIPPED = Path(__file__).with_name("catalog.toml")
 SPECS: dict[str, type] = {"imu": ImuSpec, "gnss": GnssSpec, "mag": MagSpec, "baro": BaroSpec}
+_FIGURES: dict[str, Mapping[str, tuple[str, float]]] = {}
+_ENTRIES: dict[str, Mapping[str, Mapping[str, Any]]] = {}
 REMARKS = ("source", "assumed")
 """Keys of an entry that are no figures."""
 POSITIVE = ("rate_hz", "correlation_time_s", "markov_time_s", "bandwidth_hz", "range")
@@ -27,9 +29,21 @@ _DEG = math.pi / 180.0
 _MGAUSS = 0.1  # µT
 
 
-def list_sensors() -> dict[str, dict[str, str]]:
-    """The shipped catalogue: kind (``imu``, ``gnss``, ``mag``, ``baro``) to name to source."""
-    return {kind: {name: entry["source"] for name, entry in read(SHIPPED)[kind].items()} for kind in SPECS}
+def declare(
+    kind: str, spec: type, figures: Mapping[str, tuple[str, float]], entries: Mapping[str, Mapping[str, Any]]
+) -> None:
+    """Make a kind of sensor known, with its keys (none: those written here) and entries beside the shipped ones."""
+    SPECS[kind] = spec
+    if figures:
+        _FIGURES[kind] = figures
+    for name, table in entries.items():
+        _resolve(kind, table, f"catalogue: [{kind}.{name}]")
+    _ENTRIES[kind] = {"ideal": {"source": "no errors at all"}} | dict(entries) if figures else dict(entries)
+
+
+def shipped(kind: str) -> dict[str, Mapping[str, Any]]:
+    """The entries of the shipped catalogue: name to figures."""
+    return dict(_ENTRIES.get(kind, {})) | read(SHIPPED).get(kind, {})
 
 
 def entry(kind: str, model: str, file: Path | None = None) -> dict[str, Any]:
@@ -38,10 +52,10 @@ def entry(kind: str, model: str, file: Path | None = None) -> dict[str, Any]:
     Raises InputError that names the file, the key and the nearest valid name.
     """
     own = read(file) if file is not None else {}
-    for catalogue in (own, read(SHIPPED)):
-        if model in catalogue.get(kind, {}):
-            return dict(catalogue[kind][model])
-    names = set(own.get(kind, {})) | set(read(SHIPPED)[kind])
+    for entries in (own.get(kind, {}), shipped(kind)):
+        if model in entries:
+            return dict(entries[model])
+    names = set(own.get(kind, {})) | set(shipped(kind))
     raise InputError(f"{file or 'sensor catalogue'}: no {kind} named '{model}'; {nearest(model, names)}")
 
 
@@ -71,6 +85,8 @@ def specification(kind: str, model: str, overrides: Mapping[str, Any] | None = N
 @functools.cache
 def keys(kind: str) -> dict[str, tuple[str, float]]:
     """Every valid key of a kind of sensor: the field of its specification (dotted path) and the factor to SI."""
+    if kind in _FIGURES:
+        return {"rate_hz": ("rate_hz", 1.0)} | dict(_FIGURES[kind])
     if kind == "imu":
         return {"rate_hz": ("rate_hz", 1.0)} | _triad_keys("gyro") | _triad_keys("accel")
     plain = {

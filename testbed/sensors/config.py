@@ -249,15 +249,6 @@ class BaroConfig(SensorTable):
         return self._figures()
 
 
-class SensorsConfig(Table):
-    """``[sensors]``"""
-
-    imu: ImuConfig = Field(default_factory=ImuConfig)
-    gnss: GnssConfig | None = None
-    mag: MagConfig | None = None
-    baro: BaroConfig | None = None
-
-
 class InitialConfig(Table):
     """``[initial]``: how well a filter knows its start, 1 sigma per axis; the mean is drawn around truth."""
 
