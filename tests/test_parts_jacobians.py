@@ -10,13 +10,11 @@ import pytest
 from analytic_flight import analytic_flight
 from numba import njit
 
-from estimators.aiding import AIDINGS
-from estimators.blocks import BLOCKS
 from estimators.core import calls
 from estimators.core.composition import Composition, make_model, make_recording, prepare
 from estimators.core.filter import AUX, begin, predict, retract
 from estimators.core.lanes import WIDTH, aligned
-from estimators.core import parts as _  # the parts that ship become known
+from estimators.core.parts import AIDINGS, BLOCKS
 from estimators.core.propagate import NAV
 from testbed import earth
 from testbed.rotations import attitude_error
@@ -190,8 +188,10 @@ def test_block(block):
         unit = np.eye(k)[i]
         numerical = 0.5 * (imu_model(block, unit, imu) - imu_model(block, -unit, imu))
         np.testing.assert_allclose(np.concatenate([accel[i], gyro[i]]), numerical, rtol=0.0, atol=1e-14 * 11.0)
+    felt = aligned(6)
+    felt[:] = imu[:, None]
     many, turn = aligned(k * 3).reshape(k, 3, WIDTH), aligned(k * 3).reshape(k, 3, WIDTH)
-    call_couple_lanes(calls.address(part.couple, calls.COUPLE_LANES), aligned(k), imu, many, turn)
+    call_couple_lanes(calls.address(part.couple, calls.COUPLE_LANES), aligned(k), felt, many, turn)
     for lane in range(WIDTH):
         np.testing.assert_array_equal(many[..., lane], accel)
         np.testing.assert_array_equal(turn[..., lane], gyro)

@@ -6,6 +6,8 @@ Automation* 17 (2001). The point of contact at the arm l moves with v_b = C_bn v
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numba import njit
 
@@ -103,7 +105,7 @@ def measure_standstill(state, imu, parameters, z, residual, h):
         set_entry(h, i, 3 + i, 1.0)
 
 
-def _parameters(arm: object, columns: Columns) -> Array:
+def _parameters(arm: Sequence[float], columns: Columns) -> Array:
     places = [columns.get(name, ABSENT) for name in ("gyro-bias", "odometer-scale", "odometer-mounting")]
     return np.array([*np.asarray(arm, dtype=float), *places], dtype=float)
 
@@ -117,7 +119,11 @@ def speeds(log: SensorLog, columns: Columns) -> Measurements:
 
 
 def no_slip(
-    log: SensorLog, columns: Columns, sigma_mps: float = 0.1, rate_hz: float = 1.0, lever_arm_m: object = None
+    log: SensorLog,
+    columns: Columns,
+    sigma_mps: float = 0.1,
+    rate_hz: float = 1.0,
+    lever_arm_m: Sequence[float] | None = None,
 ) -> Measurements:
     """No speed sideways and upwards where the wheels touch the ground.
 
@@ -127,9 +133,10 @@ def no_slip(
     """
     sigma = positive("non-holonomic sigma_mps", sigma_mps)
     step = 1.0 / positive("non-holonomic rate_hz", rate_hz)
-    odometer = log.odometer
-    arm = lever_arm_m if lever_arm_m is not None else (0.0, 0.0, 0.0) if odometer is None else odometer.spec.lever_arm_b
-    if np.shape(arm) != (3,) or not all(isinstance(x, int | float) and np.isfinite(x) for x in arm):  # type: ignore[union-attr,attr-defined]
+    arm: Sequence[float] = (0.0, 0.0, 0.0) if log.odometer is None else log.odometer.spec.lever_arm_b
+    if lever_arm_m is not None:
+        arm = lever_arm_m
+    if len(arm) != 3 or not all(isinstance(x, int | float) and np.isfinite(x) for x in arm):
         raise InputError(f"non-holonomic lever_arm_m = {arm!r}: must be three numbers, forward, right, down")
     t = np.arange(log.initial.t + step, log.imu.t[-1], step)
     return Measurements(t, np.zeros((len(t), 2)), np.full((len(t), 2), sigma**2), _parameters(arm, columns))

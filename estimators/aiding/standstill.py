@@ -1,12 +1,14 @@
 """Where a vehicle stands, as its IMU feels it: a likelihood-ratio test of windows of samples.
 
 Skog, Händel, Nilsson & Rantakokko, *IEEE Trans. Biomedical Engineering* 57 (2010): the samples of a window are noise
-about a constant. Means are compared with gravity and no turn as far as the biases are known. SI units.
+about a constant, and so are those of the window before. Means are compared with gravity and no turn as far as the biases
+are known. SI units.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.aiding import Array
 from estimators.policies import fraction
@@ -33,12 +35,17 @@ def stops(log: SensorLog, window_s: float, pass_rate: float) -> Array:
     width = max(2, round(window_s / dt))
     count = len(log.imu.t) // width
     ends = log.imu.t[: count * width].reshape(count, width)[:, -1]
-    square, means = np.zeros(count), []
+    square, change, means = np.zeros(count), np.zeros(count), []
+    change[:1] = np.inf
     for triad, samples in ((spec.accel, log.imu.accel), (spec.gyro, log.imu.gyro)):
         windows = samples[: count * width].reshape(count, width, 3)
         means.append(windows.mean(axis=1))
-        square += ((windows - means[-1][:, None]) ** 2).sum(axis=(1, 2)) / sample_variance(triad, dt)
-    quiet = square < chi2.ppf(fraction("zero-velocity pass_rate", pass_rate), 6 * (width - 1))
+        variance = sample_variance(triad, dt)
+        square += ((windows - means[-1][:, None]) ** 2).sum(axis=(1, 2)) / variance
+        change[1:] += (np.diff(means[-1], axis=0) ** 2).sum(axis=1) / (2.0 * variance / width)
+    passes = fraction("zero-velocity pass_rate", pass_rate)
+    # Tilt hides a steady braking, but it does not last through two windows below the speed that other sensors see.
+    quiet = (square < chi2.ppf(passes, 6 * (width - 1))) & (change < chi2.ppf(passes, 6))
     gravity = float(earth.gravity(initial.lat, initial.h))
     force_std = mean_std(spec.accel, std[9:12], width * dt, gravity)
     rate_std = np.hypot(mean_std(spec.gyro, std[12:15], width * dt, 0.0), spec.gyro.g_sensitivity * gravity)
@@ -46,7 +53,7 @@ def stops(log: SensorLog, window_s: float, pass_rate: float) -> Array:
     upright = np.abs(np.linalg.norm(force, axis=1) - gravity) < SIGMAS * force_std
     # Three axes; the Earth's own turn is part of it.
     unturned = np.linalg.norm(rate, axis=1) < SIGMAS * np.sqrt(3.0) * rate_std + earth.RATE
-    return ends[quiet & upright & unturned & ~_moving(log, ends, width * dt)]
+    return ends[quiet & upright & unturned & _unmoved(log, ends, width * dt)]
 
 
 def sample_variance(spec: TriadSpec, dt: float) -> float:
@@ -62,9 +69,9 @@ def mean_std(spec: TriadSpec, bias_std: Array, duration: float, load: float) -> 
     return float(np.linalg.norm(parts))
 
 
-def _moving(log: SensorLog, ends: Array, duration: float) -> Array:
-    """Whether an odometer's sample or a GNSS velocity within each window is too large for noise."""
-    found = np.zeros(len(ends), dtype=bool)
+def _unmoved(log: SensorLog, ends: Array, duration: float) -> NDArray[np.bool_]:
+    """Whether no odometer's sample and no GNSS velocity within each window is too large for noise."""
+    found = np.ones(len(ends), dtype=bool)
     tests = []
     if log.odometer is not None:
         spec = log.odometer.spec
@@ -74,5 +81,5 @@ def _moving(log: SensorLog, ends: Array, duration: float) -> Array:
         tests.append((log.gnss.t - log.gnss.spec.latency_s, np.abs(log.gnss.v_n).max(axis=1), spread))
     for t, speed, std in tests:
         at = t[speed > np.maximum(SIGMAS * std, 1e-3)]
-        found |= np.searchsorted(at, ends) > np.searchsorted(at, ends - duration)
+        found &= np.searchsorted(at, ends) == np.searchsorted(at, ends - duration)
     return found
