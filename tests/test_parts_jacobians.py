@@ -208,7 +208,7 @@ def test_block_in_the_loop(block):
 
     def step(x):
         model.state[:] = moved(x)
-        model.work.whole[:] = 0.0
+        model.work.whole[:], model.work.clean[:] = 0.0, model.inputs.imu[k - 1]  # nothing taken off before
         begin(model, k, dt)
         predict(model, k, dt, 1.0)
         end, model.state[:] = model.state.copy(), start
