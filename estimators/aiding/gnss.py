@@ -103,6 +103,11 @@ def measure_velocity(state, imu, parameters, z, residual, h):
     velocity_of_antenna(state, imu, parameters, z, residual, h, 0)
 
 
+def whole(log: SensorLog, columns: Columns) -> Measurements:
+    """Position and velocity."""
+    return fixes(log, columns)
+
+
 def places(log: SensorLog, columns: Columns) -> Measurements:
     """Position alone."""
     return fixes(log, columns, slice(0, 3))
@@ -115,6 +120,6 @@ def velocities(log: SensorLog, columns: Columns) -> Measurements:
 
 PLACE = ("north, m", "east, m", "down, m")
 VELOCITY = ("north, m/s", "east, m/s", "down, m/s")
-add_aiding(Aiding("gnss", "gnss", PLACE + VELOCITY, measure_fix, fixes, summary="position and velocity of each fix"))
+add_aiding(Aiding("gnss", "gnss", PLACE + VELOCITY, measure_fix, whole, summary="position and velocity of each fix"))
 add_aiding(Aiding("gnss-position", "gnss", PLACE, measure_place, places, summary="position alone"))
 add_aiding(Aiding("gnss-velocity", "gnss", VELOCITY, measure_velocity, velocities, summary="velocity alone"))

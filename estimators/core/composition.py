@@ -71,6 +71,13 @@ class Composition:
         for name in self.options:
             if name not in self.aiding:
                 raise InputError(f"options: '{name}' is no aiding of this filter; {nearest(name, self.aiding)}")
+        for aiding in found:
+            # behind the log and the columns
+            known = list(inspect.signature(aiding.samples).parameters)[2:]
+            for option in self.options.get(aiding.name, {}):
+                if option not in known:
+                    hint = nearest(option, known) if known else "it has none"
+                    raise InputError(f"options: the aiding '{aiding.name}' has no option '{option}'; {hint}")
         return found
 
     def policy_of(self, aiding: Aiding) -> tuple[Policy, dict[str, Any]]:
@@ -273,6 +280,7 @@ def _work(array: Callable[..., Array], m: int, n: int) -> Work:
         whole=array(6),
         corrections=array(6),
         clean=array(6),
+        sample=array(6),
         residual=array(m),
         r=array(m),
         s=array(m * m),

@@ -100,6 +100,8 @@ class Work(NamedTuple):
     """(6,) coning and sculling of the present one."""
     clean: Array
     """(6,) the present sample without its estimated errors."""
+    sample: Array
+    """(6,) the same but for what the errors have changed since the sample before; couplings are evaluated there."""
     residual: Array
     """(m,)"""
     r: Array
@@ -444,6 +446,18 @@ def _clean(model, k):
         put(clean, 3 + i, force)
 
 
+@njit(cache=True, nogil=True, _nrt=False)
+def _estimate_sample(model, k):
+    """What the sensors would have felt without errors, into ``work.sample``: errors multiply the truth, not the output.
+
+    Sample ``k`` less what was taken from the one before. At the output, a misalignment would multiply the bias, too.
+    """
+    sample, clean, imu = model.work.sample, model.work.clean, model.inputs.imu
+    for i in range(6):
+        taken = (get(imu[k - 1], i) - get(clean, i)) if k > 0 else 0.0 * get(clean, i)
+        put(sample, i, get(imu[k], i) - taken)
+
+
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _turn(m, in_b, in_n, first, last):
     """Couplings of states ``first`` to ``last`` from b to n."""
@@ -471,10 +485,12 @@ def _couple(model, k):
 
     def couple(model, k):
         blocks = model.blocks
+        if blocks.couples.shape[0]:
+            _estimate_sample(model, k)
         for b in range(blocks.couples.shape[0]):
             i, j = blocks.places[b, 0], blocks.places[b, 1]
             aux = model.state[AUX + i : AUX + j]
-            call(blocks.couples[b], (aux, model.inputs.imu[k], blocks.accel[i:j], blocks.gyro[i:j]))
+            call(blocks.couples[b], (aux, model.work.sample, blocks.accel[i:j], blocks.gyro[i:j]))
 
     return couple
 
