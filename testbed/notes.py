@@ -9,8 +9,6 @@ from testbed.registry import make_estimator
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
 
-AIDING = ("gnss", "mag", "baro")
-
 
 def notes_of(scenario: Scenario) -> list[str]:
     """The notes of a checked scenario, in sentences. Raises what reading its recording and making its estimators raises."""
@@ -43,11 +41,12 @@ def _of_recording(scenario: Scenario) -> list[str]:
 def _recorded(scenario: Scenario) -> list[str]:
     """The aiding sensors that the run's log has."""
     if scenario.recording is None:
-        return [kind for kind in AIDING if getattr(scenario.sensors, kind, None) is not None]
+        from testbed.sensors.registry import SENSORS
+
+        return [kind for kind in SENSORS if getattr(scenario.sensors, kind, None) is not None]
     from testbed.formats import load_recording
 
-    log = load_recording(scenario.recording, scenario.folder).log
-    return [kind for kind in AIDING if getattr(log, kind) is not None]
+    return list(load_recording(scenario.recording, scenario.folder).log.aiding)
 
 
 def _sensors_of(estimator: Any) -> tuple[str, ...] | None:
