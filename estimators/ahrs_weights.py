@@ -60,6 +60,7 @@ def solve_with(weights: Weights, log: SensorLog) -> NavSolution:
     kf = AhrsKf(**weights.filter)
     kept = kf.filter(log, make_network_gain(weights.network, samples_per_step(weights, log)))
     solution = kf.solution(log, kept)
+    assert solution.covariance_t is not None
     return replace(solution, extras=dict(solution.extras) | {"gain_change": (solution.covariance_t, kept.change)})
 
 

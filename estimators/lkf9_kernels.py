@@ -99,9 +99,17 @@ def make_filter(
     h = np.zeros((N_ROWS, N_STATES))
     h[:, 3:] = np.eye(N_ROWS)
     n, m = N_STATES, N_ROWS
-    shapes = ((n, n), (n, n), (n,), (m,), (m * m,)), ((m, 2), (4, n))
-    before, after = ([np.zeros(shape) for shape in part] for part in shapes)
-    return ErrorFilter(ins, events, noise, radius, np.zeros(n), p, Work(*before, h, *after), keep)
+    work = Work(
+        a=np.zeros((n, n)),
+        product=np.zeros((n, n)),
+        sum=np.zeros(n),
+        residual=np.zeros(m),
+        s=np.zeros(m * m),
+        h=h,
+        scalars=np.zeros((m, 2)),
+        scratch=np.zeros((4, n)),
+    )
+    return ErrorFilter(ins, events, noise, radius, np.zeros(n), p, work, keep)
 
 
 @njit(cache=True, nogil=True, _nrt=False)

@@ -17,10 +17,10 @@ from testbed.scenario import Scenario, load_scenario
 from testbed.schema import read_toml, validate
 from testbed.store import write_atomic, write_json
 from testbed.tuning import tables
-from testbed.tuning.config import TuneConfig, tuned_entry
+from testbed.tuning.config import DATA_SHEET, INNOVATIONS, TuneConfig, tuned_entry
 from testbed.tuning.objective import record, scenario_space
 from testbed.tuning.speed import TABLE_EVALUATIONS
-from testbed.tuning.tune import DATA_SHEET, INNOVATIONS, read_manifest
+from testbed.tuning.tune import read_manifest
 
 if TYPE_CHECKING:
     import pandas as pd
