@@ -31,25 +31,18 @@ Array = NDArray[np.float64]
 class Figures(NamedTuple):
     """What the filter takes the sensors and the motion for; variances are those of one sample, or grow in one."""
 
-    gyro_variance: float
-    """(rad/s)²"""
+    gyro_variance: float  # (rad/s)²
     bias_variance: float
     """(rad/s)², grown per sample."""
-    accel_growth: float
-    """(m/s²)²"""
-    mag_growth: float
-    """µT²"""
-    accel_variance: float
-    """(m/s²)²"""
-    mag_variance: float
-    """µT²"""
+    accel_growth: float  # (m/s²)²
+    mag_growth: float  # µT²
+    accel_variance: float  # (m/s²)²
+    mag_variance: float  # µT²
     bias_decay: float
     accel_decay: float
     mag_decay: float
-    interval: float
-    """s"""
-    gravity: float
-    """m/s²"""
+    interval: float  # s
+    gravity: float  # m/s²
     turn_inflation: float
     """Variance of new linear acceleration across the speed per (rad/s)² of turn; 0: none."""
     residual_inflation: float

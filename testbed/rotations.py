@@ -56,7 +56,7 @@ def half_turn(square):
 
 
 @overload(half_turn)
-def _half_turn(square):
+def _half_turn_of_floats(square):
     if not isinstance(square, types.Float):
         return None
 
