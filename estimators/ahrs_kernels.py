@@ -31,25 +31,18 @@ Array = NDArray[np.float64]
 class Figures(NamedTuple):
     """What the filter takes the sensors and the motion for; variances are those of one sample, or grow in one."""
 
-    gyro_variance: float
-    """(rad/s)²"""
+    gyro_variance: float  # (rad/s)²
     bias_variance: float
     """(rad/s)², grown per sample."""
-    accel_growth: float
-    """(m/s²)²"""
-    mag_growth: float
-    """µT²"""
-    accel_variance: float
-    """(m/s²)²"""
-    mag_variance: float
-    """µT²"""
+    accel_growth: float  # (m/s²)²
+    mag_growth: float  # µT²
+    accel_variance: float  # (m/s²)²
+    mag_variance: float  # µT²
     bias_decay: float
     accel_decay: float
     mag_decay: float
-    interval: float
-    """s"""
-    gravity: float
-    """m/s²"""
+    interval: float  # s
+    gravity: float  # m/s²
     turn_inflation: float
     """Variance of new linear acceleration across the speed per (rad/s)² of turn; 0: none."""
     residual_inflation: float
@@ -61,37 +54,26 @@ class Figures(NamedTuple):
 class Samples(NamedTuple):
     """A log as the filter takes it; the accelerometers are freed of the bias that the calibration gave."""
 
-    gyro: Array
-    """(N,3) rad/s"""
-    accel: Array
-    """(N,3) m/s²"""
-    mag: Array
-    """(M,3) µT"""
+    gyro: Array  # (N,3) rad/s
+    accel: Array  # (N,3) m/s²
+    mag: Array  # (M,3) µT
     mag_row: NDArray[np.int64]
     """(N,) the row of the field sample that arrives with an IMU sample, or -1."""
-    field_n: Array
-    """(3,) µT"""
+    field_n: Array  # (3,) µT
 
 
 class Work(NamedTuple):
     """Arrays that are overwritten in every step."""
 
-    z: Array
-    """(6,)"""
+    z: Array  # (6,)
     seen: Array
     """(6,) gravity and field that the attitude predicts in b."""
-    x: Array
-    """(12,) the correction."""
-    slow: Array
-    """(3,) see `inflate`."""
-    s: Array
-    """(6,6) innovation covariance."""
-    factor: Array
-    """(6,6) its Cholesky factor."""
-    y: Array
-    """(6,12)"""
-    k: Array
-    """(6,12) gain, transposed."""
+    x: Array  # (12,) the correction.
+    slow: Array  # (3,) see `inflate`.
+    s: Array  # (6,6) innovation covariance.
+    factor: Array  # (6,6) its Cholesky factor.
+    y: Array  # (6,12)
+    k: Array  # (6,12) gain, transposed.
 
 
 class AttitudeFilter(NamedTuple):

@@ -121,10 +121,10 @@ class NarxAiding:
         networks = DriftNetworks(self.structure(known)).train(known, self._offline(known))
         object.__setattr__(self, "_trained", networks.with_statistics(held_back))
 
-    def prepare(self, scenario: Any) -> None:
-        """Train on the flights of ``[extra.training]`` and store the networks, unless that is done already."""
+    def learn(self, flights: pretrained.TrainingFlights) -> None:
+        """Train on the scenario's training flights and store the networks, unless that is done already."""
         if self.networks:
-            pretrained.prepare(self, scenario)
+            pretrained.learn(self, flights)
 
     def store(self, path: Path, meta: dict[str, Any]) -> None:
         """Write the networks of `fit` as safetensors."""

@@ -46,11 +46,22 @@ def weights_path(student: Any, log: SensorLog) -> Path:
     return resources.cache_root() / "networks" / f"{student.networks}-{digest}.safetensors"
 
 
-def prepare(student: Any, scenario: Any) -> None:
-    """Train on the flights of ``[extra.training]`` and store the networks, unless that is done already."""
-    from testbed.training_flights import training_digest, training_flights
+class TrainingFlights(Protocol):
+    """Flights that the bench hands to an estimator that learns before it runs."""
 
-    digest, flights = training_digest(scenario), training_flights(scenario)
+    @property
+    def digest(self) -> str:
+        """Hash of all that determines them."""
+        ...
+
+    def fly(self) -> list[tuple[SensorLog, Trajectory]]:
+        """Logs and truth."""
+        ...
+
+
+def learn(student: Any, lessons: TrainingFlights) -> None:
+    """Train on these flights and store the networks, unless that is done already."""
+    digest, flights = lessons.digest, lessons.fly()
     path = weights_path(student, flights[0][0])
     if _trained_on(path) == digest:
         return
@@ -71,11 +82,11 @@ def _trained_on(path: Path) -> str | None:
 
 
 def stored(student: Any, log: SensorLog) -> Path:
-    """The file of the networks that `prepare` stored. Raises InputError when it did not."""
+    """The file of the networks that `learn` stored. Raises InputError when it did not."""
     path = weights_path(student, log)
     if not path.exists():
         raise InputError(
             f"{student.name}: no networks '{student.networks}' trained for these sensors and parameters; "
-            f"call prepare(scenario) or fit(flights) first (testbed run does)"
+            f"call learn(flights) or fit(flights) first (testbed run does)"
         )
     return path

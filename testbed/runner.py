@@ -24,6 +24,7 @@ from testbed.records import Trajectory
 from testbed.scenario import LONGEST_TIMEOUT_S, Scenario
 from testbed.screen import tell_user
 from testbed.store import FORMAT, KIND, Store, StoreError, batch_of, files_digest, open_result
+from testbed.training_flights import TrainingFlights
 from testbed.units import Setup, envelope_times
 
 if TYPE_CHECKING:
@@ -203,7 +204,8 @@ def with_settings(
 def prepare(setup: Setup) -> Trajectory:
     """Find out what is wrong before anything is written: plug-ins, estimators, windows; fly, so that workers find the flight.
 
-    An estimator with a method ``prepare(scenario)`` is given the occasion to load or train what its runs will share.
+    An estimator with a method ``prepare(scenario)`` is given the occasion to load what its runs will share, one with
+    ``learn(flights)`` the training flights (`testbed.training_flights.TrainingFlights`).
     """
     from testbed.registry import load_plugin, make_estimator
 
@@ -217,6 +219,8 @@ def prepare(setup: Setup) -> Trajectory:
             raise InputError(f"{scenario.source_path}: 'estimators.{k}': {error}") from None
         if (ready := getattr(estimator, "prepare", None)) is not None:
             ready(scenario)
+        if (learn := getattr(estimator, "learn", None)) is not None:
+            learn(TrainingFlights(scenario))
     trajectory = pipeline.fly(scenario, 0)
     log, _ = pipeline.sense(scenario, trajectory)
     check_claims(scenario, [window.name for window in pipeline.windows_of(scenario, trajectory, log)])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import dataclass
 from typing import Any
 
 from pydantic import Field
@@ -30,6 +31,22 @@ class TrainingConfig(Table):
 
     flight: FlightConfig
     runs: int = Field(default=1, ge=1)
+
+
+@dataclass(frozen=True)
+class TrainingFlights:
+    """The training flights of a scenario for an estimator that learns before it runs; nothing flies until it asks."""
+
+    scenario: Scenario
+
+    @property
+    def digest(self) -> str:
+        """Hash of all that determines them. Raises InputError when the scenario has none."""
+        return training_digest(self.scenario)
+
+    def fly(self) -> list[tuple[SensorLog, Trajectory]]:
+        """Logs and truth. Raises InputError when the scenario has none."""
+        return training_flights(self.scenario)
 
 
 def training_config(scenario: Scenario) -> TrainingConfig:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -266,24 +267,25 @@ def test_weights_survive_the_disk(tmp_path):
 
 
 def test_named_networks_are_trained_once_and_missed_when_absent(log, lesson_log, tmp_path, monkeypatch):
-    import testbed.training_flights as flights
+    class Flights(NamedTuple):
+        digest: str
+
+        def fly(self):
+            return [(lesson_log, None)]
 
     monkeypatch.setenv("TESTBED_CACHE", str(tmp_path))
     scheme = Nnckf(**SHORT, networks="test", online_epochs=0)
     with pytest.raises(InputError, match="'test'"):
         scheme.run(log)
-    calls = []
-    monkeypatch.setattr(flights, "training_digest", lambda scenario: scenario)
-    monkeypatch.setattr(flights, "training_flights", lambda scenario: calls.append(scenario) or [(lesson_log, None)])
-    scheme.prepare("first")
+    scheme.learn(Flights("first"))
     path = pretrained.weights_path(scheme, log)
     written = path.stat().st_mtime_ns
-    scheme.prepare("first")
+    scheme.learn(Flights("first"))
     assert path.stat().st_mtime_ns == written
     taught = Nnckf(**SHORT, online_epochs=0)
     taught.fit([(lesson_log, None)])
     np.testing.assert_array_equal(scheme.run(log).lat, taught.run(log).lat)
-    scheme.prepare("second")  # another training flight: the old networks are stale
+    scheme.learn(Flights("second"))  # another training flight: the old networks are stale
     assert path.stat().st_mtime_ns != written
 
 

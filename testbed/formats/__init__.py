@@ -74,9 +74,10 @@ def load_recording(config: RecordingConfig, folder: str | Path = ".") -> Any:
 
 @functools.lru_cache(maxsize=2)
 def _load(config_json: str, folder: str, state: tuple[tuple[str, int, int], ...]) -> Any:
-    from testbed.formats import importers
+    from testbed.formats import importers, ulog
 
-    return importers.load(RecordingConfig.model_validate_json(config_json, strict=False), Path(folder))
+    config = RecordingConfig.model_validate_json(config_json, strict=False)
+    return (ulog if config.format == "ulog" else importers).load(config, Path(folder))
 
 
 def _parts_of(kind: str, paths: Sequence[Path]) -> dict[str, str]:

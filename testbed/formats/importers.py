@@ -30,10 +30,6 @@ def load(config: RecordingConfig, folder: Path) -> Recording:
     root = folder / config.dir
     if config.format == "navego":
         return _load_navego(config, root, folder)
-    if config.format == "ulog":
-        from testbed.formats import ulog
-
-        return _finish(config, folder, ulog.read(root, config.files, config.allow_truncated), str(root))
     return _load_table(config, root, folder)
 
 
@@ -54,7 +50,7 @@ def _load_table(config: RecordingConfig, root: Path, folder: Path) -> Recording:
     columns = table.read_mapping(folder / config.mapping) if config.mapping else {}
     tables = table.Tables(root, config.files, columns | config.columns)
     raw = Raw.from_tables(tables, config.sampling)
-    return _finish(config, folder, raw, str(root))
+    return finish(config, folder, raw, str(root))
 
 
 def without_effect(config: RecordingConfig, heeded: tuple[str, ...]) -> tuple[str, ...]:
@@ -139,7 +135,7 @@ class Raw:
             self.motion = (r["time"], r["lat"], r["lon"], r["alt"], v_n, tables.quaternions())
 
 
-def _finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Recording:
+def finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Recording:
     """Specifications, reference on the IMU grid, initial state, wanted time."""
     assert raw.imu is not None
     samples = {kind: _respecify(config, folder, kind, getattr(raw, kind)) for kind in ("imu", "gnss", "mag", "baro")}

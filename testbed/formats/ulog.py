@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from testbed.errors import InputError, MissingExtra
-from testbed.formats.importers import Raw
-from testbed.formats.recording import check_finite, check_place, check_time, existing
+from testbed.formats.config import RecordingConfig
+from testbed.formats.importers import Raw, finish
+from testbed.formats.recording import Recording, check_finite, check_place, check_time, existing
 from testbed.records import Array, BaroSamples, GnssFixes, ImuSamples, MagSamples
 from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 
@@ -49,6 +50,12 @@ EARTH_RADIUS = 6371000.0
 """m: the sphere of PX4's local projection (its ``map_projection``)."""
 
 Topic = dict[str, Array]
+
+
+def load(config: RecordingConfig, folder: Path) -> Recording:
+    """Read what ``config`` describes. Raises InputError that names the file and what is wrong with it."""
+    root = folder / config.dir
+    return finish(config, folder, read(root, config.files, config.allow_truncated), str(root))
 
 
 def read(folder: Path, files: Mapping[str, str], allow_truncated: bool = False) -> Raw:

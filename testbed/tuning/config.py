@@ -5,6 +5,7 @@ Checked by pydantic; dotted keys in ``set`` are those of the scenario. Angles in
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -19,6 +20,10 @@ from testbed.tuning.space import AxisConfig
 RMSE_METRICS = [f"rmse_{axis}" for axis in AXES]
 Count = Annotated[int, Field(ge=1)]
 Run = Annotated[int, Field(ge=0)]
+DATA_SHEET = "data-sheet"
+"""Row of the parameters that the scenario gives, in the tables of a study."""
+INNOVATIONS = "innovations"
+"""Prefix of the row of the search for the likeliest innovations."""
 
 
 class CaseConfig(Table):
@@ -122,3 +127,26 @@ def case_scenario(scenario: Scenario, case: CaseConfig) -> Scenario:
     made = validate(Scenario, data, source, scenario.folder)
     made._source = scenario.source_path
     return made
+
+
+@dataclass(frozen=True)
+class Task:
+    """One search: what a row of the tables stands for."""
+
+    algorithm: str
+    iterations: int
+    seed: int
+    likelihood: bool = False
+
+    @property
+    def name(self) -> str:
+        """Its file name."""
+        return f"{INNOVATIONS + '-' if self.likelihood else ''}{self.algorithm}-{self.iterations:04d}-seed{self.seed}"
+
+
+def tasks_of(config: TuneConfig) -> list[Task]:
+    """The searches of a study, short ones first; then the likelihood search, as long as the first of them."""
+    out = [Task(a, n, seed) for n in sorted(config.iterations) for seed in config.seeds for a in config.algorithms]
+    if config.innovation_search != "none":
+        out.append(Task(config.innovation_search, min(config.iterations), config.seeds[0], True))
+    return out

@@ -19,11 +19,11 @@ from testbed.files import as_json, write_atomic
 from testbed.folders import Folder
 from testbed.schema import read_toml
 from testbed.tuning import tables
-from testbed.tuning.config import tuned_entry
+from testbed.tuning.config import DATA_SHEET, INNOVATIONS, tuned_entry
 from testbed.tuning.objective import record, scenario_space
 from testbed.tuning.speed import TABLE_EVALUATIONS
 from testbed.tuning.study import Study
-from testbed.tuning.tune import DATA_SHEET, INNOVATIONS, KIND
+from testbed.tuning.tune import KIND
 
 if TYPE_CHECKING:
     import pandas as pd

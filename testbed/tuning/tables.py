@@ -18,14 +18,12 @@ from testbed.scenario import Scenario
 from testbed.schema import read_toml
 from testbed.scoring.effects import effect
 from testbed.scoring.quantities import MAIN, NIS
-from testbed.tuning.config import RMSE_METRICS, TuneConfig, tuned_entry
+from testbed.tuning.config import DATA_SHEET, RMSE_METRICS, Task, TuneConfig, tuned_entry
 from testbed.tuning.history import per_iteration, read_evaluations
 from testbed.tuning.objective import DEVIANCE, Recording, full_score, record, scenario_space
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from testbed.tuning.tune import Task
 
 KEPT_METRICS = [*RMSE_METRICS, *(f"rmse_{name}" for name in MAIN[:2]), "nees_attitude", NIS, DEVIANCE]
 
@@ -80,8 +78,6 @@ def _scores(
     """Columns row, case, run, set (train, test), metric, value; a recording is made once and forgotten."""
     import pandas as pd
 
-    from testbed.tuning.tune import DATA_SHEET
-
     entry = tuned_entry(scenario, config)
     candidates: dict[str, dict[str, Any]] = {DATA_SHEET: dict(entry.params)}
     for task in tasks:
@@ -133,8 +129,6 @@ def heldout(scores: pd.DataFrame, config: TuneConfig) -> pd.DataFrame:
     Paired over runs: 95 % bootstrap interval and Wilcoxon signed-rank p.
     """
     import pandas as pd
-
-    from testbed.tuning.tune import DATA_SHEET
 
     sums = {which: objective_sums(scores[scores["set"] == which], config) for which in ("train", "test")}
     rows = []

@@ -25,33 +25,17 @@ from testbed.folders import Folder, check_own
 from testbed.registry import load_plugin
 from testbed.scenario import Scenario
 from testbed.schema import dump_toml
-from testbed.tuning.config import TuneConfig, tune_config, tuned_entry
+from testbed.tuning.config import Task, TuneConfig, tasks_of, tune_config, tuned_entry
 from testbed.tuning.history import AGAIN, History
 from testbed.tuning.objective import Objective, make_objective, record, scenario_space
 from testbed.tuning.search import ONE_BY_ONE, make_search
+from testbed.tuning.tables import write_tables
 
 KIND = "testbed tuning"
-DATA_SHEET = "data-sheet"
-INNOVATIONS = "innovations"
 SAME_VALUE = 1e-6
 """Relative difference that another processor may make."""
 FREE = ("algorithms", "iterations", "seeds", "test_runs", "innovation_search", "paper")
 """Keys of ``[extra.tune]`` that may change when a study is resumed: they add searches, or change none."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """One search: what a row of the tables stands for."""
-
-    algorithm: str
-    iterations: int
-    seed: int
-    likelihood: bool = False
-
-    @property
-    def name(self) -> str:
-        """Its file name."""
-        return f"{INNOVATIONS + '-' if self.likelihood else ''}{self.algorithm}-{self.iterations:04d}-seed{self.seed}"
 
 
 @dataclass(frozen=True)
@@ -67,14 +51,6 @@ class Progress:
 
 class Stopped(TestbedError):
     """The study was stopped before its end; what is done is stored."""
-
-
-def tasks_of(config: TuneConfig) -> list[Task]:
-    """The searches of a study, short ones first; then the likelihood search, as long as the first of them."""
-    out = [Task(a, n, seed) for n in sorted(config.iterations) for seed in config.seeds for a in config.algorithms]
-    if config.innovation_search != "none":
-        out.append(Task(config.innovation_search, min(config.iterations), config.seeds[0], True))
-    return out
 
 
 def tune(
@@ -116,8 +92,6 @@ def tune(
                     for group in _abreast(chosen):
                         _search(group, config, objective, folder, deadline, meter)
         if only is None:
-            from testbed.tuning.tables import write_tables
-
             write_tables(folder, scenario, config, tasks, recordings)
             _manifest(folder, scenario, config, finished=True)
     return folder.out
@@ -363,8 +337,6 @@ def conclude(scenario: Scenario, out: str | Path, config: TuneConfig | None = No
 
     `tune` with ``resume`` still completes it. Raises InputError when the folder holds another study or no complete search.
     """
-    from testbed.tuning.tables import write_tables
-
     config = config or tune_config(scenario)
     place, previous = Path(out), read_manifest(Path(out))
     if previous is None or previous["identity"] != identity(scenario, config):
