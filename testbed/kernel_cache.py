@@ -41,7 +41,7 @@ def use_folder() -> None:
     folder = root / _key(root)
     os.environ[VARIABLE] = os.environ[MARK] = str(folder)
     if "numba" in sys.modules:  # it read the variable when it was imported
-        sys.modules["numba"].config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+        sys.modules["numba"].config.CACHE_DIR = str(folder)
     try:
         if folder.is_dir():
             os.utime(folder)
