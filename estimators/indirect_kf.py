@@ -73,13 +73,13 @@ class IndirectKf:
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no GNSS."""
-        return run(self.prepare(log))
+        return run(self.prepared(log))
 
     def start(self, log: SensorLog) -> Stepwise:
         """The filter at the start of a log, to be led step by step. Raises InputError when it has no GNSS."""
-        return Stepwise(self.prepare(log))
+        return Stepwise(self.prepared(log))
 
-    def prepare(self, log: SensorLog) -> Prepared:
+    def prepared(self, log: SensorLog) -> Prepared:
         """What a run on this log starts from. Raises InputError when it has no GNSS."""
         require_gnss(log, self.name)
         prepared = prepare(Composition(), log)

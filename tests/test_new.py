@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from synthetic import sensor_log, weaving_flight
 
-from testbed import fly
+from testbed import fly, registry
 from testbed.errors import InputError
 from testbed.new import NAME, TEMPLATES, new_file
 from testbed.registry import load_plugin, make_estimator
@@ -25,6 +25,11 @@ model = "ideal"
 [[estimators]]
 name = "ins"
 """
+
+
+@pytest.fixture(autouse=True)
+def _no_plugins(monkeypatch):
+    monkeypatch.setattr(registry, "_plugins", {})
 
 
 @pytest.mark.parametrize("name", ["mine", "my-filter_2", "none", "nav-solution", "class-var", "A"])

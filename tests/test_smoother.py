@@ -100,7 +100,7 @@ def turned(invariant, place, v):
 
 def textbook(estimator, log, numeric):
     """Smoothed states (N,16) and covariances (N,15,15) by RTS with dense matrices and inverses."""
-    prepared = estimator.prepare(log)
+    prepared = estimator.prepared(log)
     recording, line = make_recording(prepared), make_timeline_of(prepared)
     model = make_model(prepared, recording)
     invariant, nodes, now, e = estimator.error == "invariant", [], line.now[0], 0
@@ -182,7 +182,7 @@ def textbook_differences(error, policy, numeric):
 @pytest.mark.parametrize("policy", ["sage-husa", "gate"])
 def test_segments_change_nothing(policy):
     """Neither their number nor where they end: the filter goes on from a checkpoint as if it had not stopped."""
-    prepared = Eskf(policy=policy, states=("gyro-scale", "gyro-bias")).prepare(biased_log())
+    prepared = Eskf(policy=policy, states=("gyro-scale", "gyro-bias")).prepared(biased_log())
     whole = smoother.smooth(prepared, segment=10**6)
     for segment in (1, 7, 399):
         part = smoother.smooth(prepared, segment=segment)
@@ -263,7 +263,7 @@ def test_memory_is_bounded(monkeypatch):
     fixes = {key: np.resize(getattr(log.gnss, key), len(every)) for key in ("lat", "lon", "h")}
     log = replace(log, gnss=replace(log.gnss, t=every, v_n=np.zeros((len(every), 3)), **fixes))
     states = [f"{triad}-{kind}" for triad in ("accel", "gyro") for kind in ("bias", "scale", "misalignment")]
-    prepared = Eskf(states=(*states, "g-sensitivity")).prepare(log)
+    prepared = Eskf(states=(*states, "g-sensitivity")).prepared(log)
     assert len(prepared.states) == 42
     # Memory is all taken before the kernels run, so they need not.
     for name in ("walk", "sweep", "solution_of"):

@@ -90,16 +90,16 @@ class Eskf:
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it lacks what a part needs."""
-        prepared = self.prepare(log)
+        prepared = self.prepared(log)
         return smooth(prepared) if self.smooth else run(prepared)
 
     def start(self, log: SensorLog) -> Stepwise:
         """The filter at the start of a log, to be led step by step. Raises InputError as `run` does, and with ``smooth``."""
         if self.smooth:
             raise InputError(f"{self.name}: smooth = true needs the whole log; start a filter without it")
-        return Stepwise(self.prepare(log))
+        return Stepwise(self.prepared(log))
 
-    def prepare(self, log: SensorLog) -> Prepared:
+    def prepared(self, log: SensorLog) -> Prepared:
         """What a run on this log starts from."""
         try:
             prepared = prepare(self.composition, log)
