@@ -28,6 +28,7 @@ class UpdateIns(IndirectKf):
     outage_after_s: float = 2.0
     keep_biases: bool = False
     name: ClassVar[str] = "update-ins"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -171,7 +171,8 @@ def flight(duration_s: str, rate_hz: str) -> dict[str, Any]:
     from testbed.registry import make_estimator
     from testbed.schema import validate
     from testbed.sensors import sense_flight
-    from testbed.sensors.config import InitialConfig, SensorsConfig
+    from testbed.sensors.config import InitialConfig
+    from testbed.sensors.registry import SensorsConfig
     from testbed.windows import Window
 
     def job(duration: float, stage: Stages) -> int:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from testbed.flight.config import FlightConfig
+    from testbed.flight.drive import DriveConfig
 
 
 @contextmanager
@@ -45,21 +46,41 @@ def flight_varies(scenario: Scenario) -> bool:
     )
 
 
-def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig, int]:
+def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig | DriveConfig, int]:
     """The flight that run ``run`` flies, and its turbulence seed."""
-    from testbed.flight.config import FlightConfig
-
     if scenario.flight is None:
         raise InputError(f"{scenario.source_path}: the scenario is a recording; there is nothing to fly")
     config, settings = scenario.flight, scenario.monte_carlo
     if "manoeuvres" in settings.vary and settings.disperse:
         data = config.model_dump(mode="json", exclude_none=True)
-        for key, distribution in settings.disperse.items():
-            rng = stream(settings.seed, run, f"flight.{key}")
-            set_key(data, key, distribution.draw(rng), f"{scenario.source_path}: monte_carlo.disperse")
-        config = validate(FlightConfig, data, f"{scenario.source_path}: flight of run {run}")
+        where = f"{scenario.source_path}: monte_carlo.disperse"
+        for pattern, distribution in settings.disperse.items():
+            for key, own in _dispersed(data, pattern, distribution.factor is not None, where):
+                rng = stream(settings.seed, run, f"flight.{key}")
+                set_key(data, key, distribution.draw(rng, own), where)
+        config = validate(type(config), data, f"{scenario.source_path}: flight of run {run}")
     seed = settings.seed + run if "turbulence" in settings.vary else settings.seed
     return config, seed
+
+
+def _dispersed(data: dict[str, Any], pattern: str, needs_value: bool, where: str) -> list[tuple[str, float]]:
+    """The keys of a flight that a key of ``disperse`` means, with their numbers (NaN where there is none to start from)."""
+    head, star, tail = pattern.partition(".*.")
+    rows = data.get(head, []) if star else [data]
+    keys = [f"{head}.{k}.{tail}" for k, row in enumerate(rows) if tail in row] if star else [pattern]
+    if not keys:
+        raise InputError(f"{where}: '{pattern}': no row of '{head}' has '{tail}'")
+    found = []
+    for key in keys:
+        node: Any = data
+        for part in key.split("."):
+            inside = isinstance(node, list) and part.isdigit() and int(part) < len(node)
+            node = node[int(part)] if inside else node.get(part) if isinstance(node, dict) else None
+        number = isinstance(node, int | float) and not isinstance(node, bool)
+        if needs_value and not number:
+            raise InputError(f"{where}: '{key}': the flight has no such number to multiply by a factor")
+        found.append((key, float(node) if number else np.nan))
+    return found
 
 
 def fly(scenario: Scenario, run: int = 0) -> Trajectory:
@@ -116,7 +137,7 @@ def truth_at_imu(trajectory: Trajectory, log: SensorLog) -> Trajectory:
     arm = np.array(log.imu.spec.lever_arm_b)
     if not arm.any():
         return trajectory
-    from testbed.sensors.gnss import point_state
+    from testbed.interpolate import point_state
 
     lat, lon, h, v_n = point_state(trajectory, trajectory.t, arm)
     return replace(trajectory, lat=lat, lon=lon, h=h, v_n=v_n)

@@ -12,9 +12,9 @@ from estimators.ins import Ins
 from estimators.lkf9 import FreeIns, Lkf9, gnss_measurements
 from testbed import earth
 from testbed.errors import InputError
+from testbed.interpolate import point_state
 from testbed.records import GnssFixes, SensorLog
 from testbed.rotations import attitude_errors
-from testbed.sensors.gnss import point_state
 from testbed.specs import GnssSpec
 
 R = 6371000.0

@@ -11,7 +11,8 @@ from testbed.records import STATE_NAMES, NavSolution, SensorErrors, SensorLog
 from testbed.registry import load_plugin, make_estimator
 from testbed.schema import validate
 from testbed.sensors import sense_flight
-from testbed.sensors.config import InitialConfig, SensorsConfig
+from testbed.sensors.config import InitialConfig
+from testbed.sensors.registry import SensorsConfig
 from testbed.windows import Window
 
 PLUGINS = Path(__file__).parent / "plugins"

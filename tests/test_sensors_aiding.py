@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from analytic_flight import analytic_flight
 
+from testbed.atmosphere import isa_gradient, isa_height, isa_pressure
 from testbed.earth import earth_rate_n, gravity, metres_per_radian, position_difference
 from testbed.errors import InputError
 from testbed.records import Trajectory
 from testbed.rotations import attitude_error, eulers_to_quats, quats_to_matrices
 from testbed.schema import validate
 from testbed.sensors import sense_flight
-from testbed.sensors.barometer import isa_height, isa_pressure
-from testbed.sensors.config import InitialConfig, SensorsConfig
+from testbed.sensors.config import InitialConfig
 from testbed.sensors.magnetometer import field_n
+from testbed.sensors.registry import SensorsConfig
 from testbed.specs import GAUSS_MARKOV_PEAK
 
 
@@ -241,6 +242,11 @@ def test_standard_atmosphere():
     h = np.array([0.0, 5000.0, 11000.0, 15000.0])
     assert np.allclose(isa_pressure(h), [101325.0, 54019.9, 22632.0, 12044.6], rtol=2e-5)
     assert np.allclose(isa_height(isa_pressure(h)), h, atol=1e-6)
+    # hydrostatic: 1.225 kg/m³ at sea level times 9.80665 m/s²; in the rest the differences of the pressure itself
+    assert isa_gradient(np.array(0.0)) == pytest.approx(1.225 * 9.80665, rel=1e-5)
+    h = np.array([300.0, 8000.0, 15000.0])
+    numerical = (isa_pressure(h - 1.0) - isa_pressure(h + 1.0)) / 2.0
+    np.testing.assert_allclose(isa_gradient(h), numerical, rtol=1e-8)
 
 
 def test_barometer(flight):

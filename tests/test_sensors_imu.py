@@ -11,12 +11,13 @@ from analytic_flight import analytic_flight
 from estimators.strapdown import integrate
 from testbed.earth import G0, position_difference
 from testbed.errors import InputError
+from testbed.interpolate import point_state
 from testbed.schema import validate
 from testbed.sensors import sense_flight, static_log
-from testbed.sensors.config import ImuConfig, InitialConfig, SensorsConfig
+from testbed.sensors.config import ImuConfig, InitialConfig
 from testbed.sensors.draws import Draws
-from testbed.sensors.gnss import point_state
 from testbed.sensors.imu import Motion, butterworth, motion_of, sense_imu
+from testbed.sensors.registry import SensorsConfig
 from testbed.specs import GAUSS_MARKOV_PEAK
 
 RATE = 100.0

@@ -5,26 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from estimators.aiding import ABSENT, Aiding, Columns, Measurements, add_aiding
-from estimators.blocks.sensors import pressure_per_metre
+from estimators.blocks.sensors import samples_of
 from estimators.core.lanes import get, put, set_entry
-from testbed.errors import InputError
+from testbed.atmosphere import isa_gradient, isa_height
 from testbed.records import SensorLog
+
+SMALLEST_VARIANCE = 1e-6
+"""m²: R of an ideal sensor is zero, which no filter can use."""
 
 
 def heights(log: SensorLog, columns: Columns) -> Measurements:
-    """Height (m) of each sample; its noise is the sensor's and the rounding to one bit, through the gradient at that height."""
-    from testbed.sensors.barometer import isa_height
+    """Height (m) of each sample; its noise is the sensor's and the rounding to one bit, through the gradient at that height.
 
-    if log.baro is None or len(log.baro.t) == 0:
-        raise InputError(f"the aiding 'baro' needs a barometer, but the log '{log.name}' has none; add [sensors.baro]")
-    baro, spec = log.baro, log.baro.spec
+    ``z`` also holds what a metre of bias at the start's height, an error of pressure, is as height at the sample's.
+    """
+    baro = samples_of(log, "baro", "the aiding 'baro'")
     height = isa_height(baro.pressure)
-    gradient = np.array([pressure_per_metre(h) for h in height])
-    variance = (spec.noise_sigma**2 + spec.resolution**2 / 12.0) / gradient**2
+    gradient = isa_gradient(height)
+    variance = (baro.spec.noise_sigma**2 + baro.spec.resolution**2 / 12.0) / gradient**2
     return Measurements(
         baro.t,
-        height[:, None],
-        np.maximum(variance, 1e-6)[:, None],
+        np.column_stack([height, isa_gradient(np.array(log.initial.h)) / gradient]),
+        np.maximum(variance, SMALLEST_VARIANCE)[:, None],
         np.array([columns.get("baro-bias", ABSENT)], dtype=float),
     )
 
@@ -34,8 +36,8 @@ def measure_height(state, imu, parameters, z, residual, h):
     predicted = get(state, 2)
     set_entry(h, 0, 2, -1.0)
     if column >= 0:
-        predicted = predicted + get(state, 1 + column)
-        set_entry(h, 0, column, 1.0)
+        predicted = predicted + get(state, 1 + column) * get(z, 1)
+        set_entry(h, 0, column, get(z, 1))
     put(residual, 0, get(z, 0) - predicted)
 
 

@@ -12,6 +12,7 @@ from numba import njit
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
 from estimators.core.filter import attitude, triple
 from estimators.core.lanes import get, put, set_entry
+from estimators.core.lever_arm import lever_arm
 from testbed import earth
 from testbed.errors import InputError
 from testbed.records import GnssFixes, SensorLog
@@ -78,10 +79,7 @@ def place_of_antenna(state, parameters, z, residual, h, row):
 def velocity_of_antenna(state, imu, parameters, z, residual, h, row):
     """Rows ``row`` to ``row`` + 2: velocity north, east, down (m/s)."""
     lever, m = triple(parameters, 0), quat_to_matrix(attitude(state))
-    arm = matrix_rotate(m, lever)
-    sweep = matrix_rotate(m, cross(triple(imu, 0), lever))
-    earth_n, _, earth_d = earth.earth_rate_n(get(state, 0))
-    drag = cross((earth_n, 0.0, earth_d), arm)
+    arm, sweep, drag = lever_arm(m, lever, triple(imu, 0), get(state, 0))
     moving = (sweep[0] - drag[0], sweep[1] - drag[1], sweep[2] - drag[2])
     for i in range(3):
         put(residual, row + i, get(z, row + i) - (get(state, 3 + i) + moving[i]))
@@ -109,6 +107,11 @@ def measure_velocity(state, imu, parameters, z, residual, h):
     velocity_of_antenna(state, imu, parameters, z, residual, h, 0)
 
 
+def whole(log: SensorLog, columns: Columns) -> Measurements:
+    """Position and velocity."""
+    return fixes(log, columns)
+
+
 def places(log: SensorLog, columns: Columns) -> Measurements:
     """Position alone."""
     return _parts_of_fixes(log, columns, slice(0, 3))
@@ -121,6 +124,6 @@ def velocities(log: SensorLog, columns: Columns) -> Measurements:
 
 PLACE = ("north, m", "east, m", "down, m")
 VELOCITY = ("north, m/s", "east, m/s", "down, m/s")
-add_aiding(Aiding("gnss", "gnss", PLACE + VELOCITY, measure_fix, fixes, summary="position and velocity of each fix"))
+add_aiding(Aiding("gnss", "gnss", PLACE + VELOCITY, measure_fix, whole, summary="position and velocity of each fix"))
 add_aiding(Aiding("gnss-position", "gnss", PLACE, measure_place, places, summary="position alone"))
 add_aiding(Aiding("gnss-velocity", "gnss", VELOCITY, measure_velocity, velocities, summary="velocity alone"))

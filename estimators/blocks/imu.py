@@ -20,6 +20,8 @@ MEMORY = 0.3
 """How far back a bias estimate looks, in correlation times of the bias: tens of seconds for the units of the catalogue."""
 RANDOM_WALK_SHARE = 3.0 * (0.5 * MEMORY**2 - 1.0 + (1.0 + MEMORY) * np.exp(-MEMORY)) / MEMORY**3
 """Least-squares slope of 1 - exp(-x) over 0 < x < MEMORY, relative to its slope at 0."""
+CUBIC_SLOPE = 3.0
+"""Of T3(u) = 4 u³ - 3 u at the origin, in size."""
 OFF_DIAGONAL = ("xy", "xz", "yx", "yz", "zx", "zy")
 
 
@@ -86,8 +88,13 @@ def noise_model(log: SensorLog) -> NoiseModel:
 
 
 def scale_process(triad: str, log: SensorLog) -> Process:
-    """Scale factors: the specification's sigma per axis, for good."""
-    return constant(np.full(3, getattr(log.imu.spec, triad).scale_factor))
+    """Scale factors: the specification's sigma per axis, and the slope that a curved characteristic has near zero.
+
+    The lowest odd curve whose largest departure from the best straight line over the range is e times the range, the cubic
+    T3, has a slope of 3 e there; below a fifth of the range the slope changes by less than an eighth of that.
+    """
+    spec: TriadSpec = getattr(log.imu.spec, triad)
+    return constant(np.full(3, np.hypot(spec.scale_factor, CUBIC_SLOPE * spec.nonlinearity)))
 
 
 def misalignment_process(triad: str, log: SensorLog) -> Process:

@@ -27,7 +27,7 @@ MEASURE = types.void(array(1), array(1), array(1), array(1), array(1), array(2))
 """measure(state, imu, parameters, z, residual, h): see `estimators.aiding`."""
 POLICY = types.float64(array(1), array(1), array(2), array(1), array(2), array(2))
 """policy(memory, residual, s, r, h, p) -> fading: see `estimators.policies`."""
-COUPLE_LANES = types.void(array(2), array(1), array(3), array(3))
+COUPLE_LANES = types.void(array(2), array(2), array(3), array(3))
 MEASURE_LANES = types.void(array(2), array(2), array(1), array(1), array(2), array(3))
 
 NOTHING = 0

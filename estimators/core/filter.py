@@ -26,7 +26,7 @@ from estimators.core.propagate import (
     turn_position_errors,
     turn_velocity_errors,
 )
-from estimators.core.timeline import steps
+from estimators.core.timeline import INLINED, steps
 from estimators.core.update import innovation_covariance, update
 from estimators.strapdown import advance, compensate, coning_sculling
 from testbed import earth
@@ -100,6 +100,8 @@ class Work(NamedTuple):
     """(6,) coning and sculling of the present one."""
     clean: Array
     """(6,) the present sample without its estimated errors."""
+    sample: Array
+    """(6,) the same but for what the errors have changed since the sample before; couplings are evaluated there."""
     residual: Array
     """(m,)"""
     r: Array
@@ -155,6 +157,24 @@ class Recording(NamedTuple):
     """(E,) what the policy returned: 1 a plain update, `REJECTED` none, more a faded covariance"""
 
 
+def empty_recording(samples: int, events: int, sizes: tuple[int, int, int], every: int, stride: int = 1) -> Recording:
+    """Room for a run over so many IMU samples and events; ``sizes``: of the nominal state, the error state, an innovation.
+
+    A covariance is kept every ``every`` samples, state and sigmas every ``stride``.
+    """
+    state, n, m = sizes
+    return Recording(
+        stride,
+        np.empty((samples // stride, state)),
+        np.empty((samples // stride, n)),
+        every,
+        np.empty((samples // every, n, n)),
+        np.full((events, m), np.nan),
+        np.full((events, m, m), np.nan),
+        np.full(events, np.nan),
+    )
+
+
 def note_update(keep, model, e, count, fading):
     """Keep what event ``e``, of ``count`` rows, was to the filter. Kernels only."""
     raise NotImplementedError("kernels only")
@@ -165,12 +185,12 @@ def note_sample(keep, model, k):
     raise NotImplementedError("kernels only")
 
 
-@overload(note_update)
+@overload(note_update, jit_options=INLINED)
 def _note_update(keep, model, e, count, fading):
     return _KEEPERS[keep.instance_class][0]
 
 
-@overload(note_sample)
+@overload(note_sample, jit_options=INLINED)
 def _note_sample(keep, model, k):
     return _KEEPERS[keep.instance_class][1]
 
@@ -267,14 +287,14 @@ def predict(model, k, dt, part):
     spread(model, motion, middle, dt)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def spread(model, motion, middle, dt):
     """Carry the covariance over a step of ``dt`` that `move` made."""
     propagate(model.p, model.propagation, model.coupling, motion, dt)
     add_noise(model.p, middle, model.inputs.white, model.inputs.drive, dt)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def move(model, k, dt, part):
     """The state's share of `predict`: returns the motion as `propagate` takes it, and C_nb in the middle of the step."""
     state, clean, corrections = model.state, model.work.clean, model.work.corrections
@@ -307,7 +327,7 @@ def move(model, k, dt, part):
     return (rates, force, v), middle
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def observe(model, k, e):
     """Residual, H and R of event ``e`` at the present state into the work arrays; returns the number of rows."""
     events = model.events
@@ -426,6 +446,18 @@ def _clean(model, k):
         put(clean, 3 + i, force)
 
 
+@njit(cache=True, nogil=True, _nrt=False)
+def _estimate_sample(model, k):
+    """What the sensors would have felt without errors, into ``work.sample``: errors multiply the truth, not the output.
+
+    Sample ``k`` less what was taken from the one before. At the output, a misalignment would multiply the bias, too.
+    """
+    sample, clean, imu = model.work.sample, model.work.clean, model.inputs.imu
+    for i in range(6):
+        taken = (get(imu[k - 1], i) - get(clean, i)) if k > 0 else 0.0 * get(clean, i)
+        put(sample, i, get(imu[k], i) - taken)
+
+
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _turn(m, in_b, in_n, first, last):
     """Couplings of states ``first`` to ``last`` from b to n."""
@@ -453,10 +485,12 @@ def _couple(model, k):
 
     def couple(model, k):
         blocks = model.blocks
+        if blocks.couples.shape[0]:
+            _estimate_sample(model, k)
         for b in range(blocks.couples.shape[0]):
             i, j = blocks.places[b, 0], blocks.places[b, 1]
             aux = model.state[AUX + i : AUX + j]
-            call(blocks.couples[b], (aux, model.inputs.imu[k], blocks.accel[i:j], blocks.gyro[i:j]))
+            call(blocks.couples[b], (aux, model.work.sample, blocks.accel[i:j], blocks.gyro[i:j]))
 
     return couple
 

@@ -163,6 +163,30 @@ def _unary(name: str) -> Any:
     return function
 
 
+def _binary_each(name: str) -> Any:
+    """A function of the C library on the lanes one by one: the same bits as on floats."""
+
+    @intrinsic
+    def function(typing_context: Any, left: Any, right: Any) -> Any:
+        if not isinstance(left, LanesType) or not isinstance(right, LanesType):
+            return None
+
+        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()] * 2)
+            call = cgutils.get_or_insert_function(builder.module, kind, name)
+            out = ir.Constant(_VECTOR, ir.Undefined)
+            for lane in range(WIDTH):
+                at = ir.Constant(ir.IntType(32), lane)
+                numbers = [builder.extract_element(vector, at) for vector in args]
+                out = builder.insert_element(out, builder.call(call, numbers), at)
+            return out
+
+        return lanes(lanes, lanes), generate
+
+    return function
+
+
+_angle = _binary_each("atan2")
 _square_root = _unary("sqrt")
 floor = _unary("floor")
 
@@ -283,6 +307,13 @@ def _cos(x):
 def _sqrt(x):
     if isinstance(x, LanesType):
         return lambda x: _square_root(x)
+    return None
+
+
+@overload(np.arctan2)
+def _arctan2(y, x):
+    if isinstance(y, LanesType):
+        return lambda y, x: _angle(y, x)
     return None
 
 

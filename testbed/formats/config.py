@@ -11,10 +11,11 @@ from pydantic import Field, model_validator
 
 from testbed.errors import nearest
 from testbed.schema import Table
+from testbed.sensors.registry import SENSORS
 
 PARTS = {
     "navego": ("imu", "gnss", "ref", "mag", "baro"),
-    "table": ("imu", "gnss", "mag", "baro", "reference"),
+    "table": ("imu", *SENSORS, "reference"),
     "ulog": ("log",),
 }
 """Format -> names that ``files`` may use."""

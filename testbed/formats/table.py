@@ -24,11 +24,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed import specs
-from testbed.errors import InputError, nearest
+from testbed.errors import InputError, nearest, shown
 from testbed.formats import column_units
 from testbed.formats.recording import check_finite, check_place, check_time, existing
 from testbed.records import Array, SensorLog, Trajectory
 from testbed.rotations import eulers_to_quats
+from testbed.sensors.registry import SENSORS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,9 +44,10 @@ REQUIRED: dict[str, dict[str, str]] = {
     "imu": {"time": "time"}
     | {f"gyro_{a}": "angular rate" for a in _XYZ}
     | {f"accel_{a}": "acceleration" for a in _XYZ},
-    "gnss": {"time": "time"} | _PLACE,
-    "mag": {"time": "time"} | {f"mag_{a}": "magnetic field" for a in _XYZ},
-    "baro": {"time": "time", "pressure": "pressure"},
+    **{
+        kind: {"time": "time"} | {stem: q for column in sensor.columns for stem, q in column.stems().items()}
+        for kind, sensor in SENSORS.items()
+    },
     "reference": {"time": "time"} | _PLACE,
 }
 """Part -> stem of each column -> quantity."""
@@ -125,8 +127,8 @@ def save_log(log: SensorLog, folder: str | Path, kind: str = "csv", reference: T
     for name, frame in frames.items():
         write_frame(frame, folder / f"{name}.{kind}")
     stored: dict[str, Any] = {"name": log.name}
-    for part in ("imu", "gnss", "mag", "baro"):
-        if (samples := getattr(log, part)) is not None:
+    for part, samples in [("imu", log.imu), *log.aiding.items()]:
+        if hasattr(samples, "spec"):
             stored[part] = specs.to_dict(samples.spec)
     if log.gnss is not None:
         stored["outages"] = [list(o) for o in log.gnss.outages]
@@ -239,9 +241,15 @@ def _read_frame(path: Path) -> pd.DataFrame:
 
     try:
         table = pa.parquet.read_table(path) if path.suffix == ".parquet" else pa.csv.read_csv(path)
-        return table.rename_columns([name.strip() for name in table.column_names]).to_pandas()
+        names = [name.strip() for name in table.column_names]
+        frame = table.rename_columns(names).to_pandas()
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable table ({str(error).splitlines()[0]})") from None
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError(f"{path}: column '{twice[0]}' is there {names.count(twice[0])} times; keep one")
+    if not len(frame):
+        raise InputError(f"{path}: has no rows below its header; leave the file out if the sensor recorded nothing")
+    return frame
 
 
 def _numbers(column: pd.Series, place: str) -> Array:
@@ -252,7 +260,7 @@ def _numbers(column: pd.Series, place: str) -> Array:
         bad = numbers.isna() & column.notna()
         if bad.any():
             k = int(np.argmax(bad.to_numpy()))
-            raise InputError(f"{place}: sample {k} is '{column.iloc[k]}', expected a number")
+            raise InputError(f"{place}: sample {k} is {shown(column.iloc[k])}, expected a number")
         column = numbers
     return column.to_numpy()
 

@@ -12,6 +12,7 @@ from typing import Any
 from testbed.report.labels import MISSING, number
 from testbed.report.results import Result
 from testbed.report.tables import Cell, Column, Table
+from testbed.sensors.registry import SENSORS
 
 DEGREE = math.degrees(1.0)
 MILLI_G = 1e3 / 9.80665
@@ -33,50 +34,24 @@ TRIAD: dict[str, tuple[str, tuple[float, str], tuple[float, str]]] = {
     "bandwidth_hz": ("Bandwidth", (1.0, "Hz"), (1.0, "Hz")),
     "resolution": ("Resolution", (DEGREE, "°/s"), (MILLI_G, "mg")),
 }
-OTHERS: dict[str, dict[str, tuple[str, float, str]]] = {
-    "gnss": {
-        "horizontal_sigma": ("Position noise, horizontal, 1σ", 1.0, "m"),
-        "vertical_sigma": ("Position noise, vertical, 1σ", 1.0, "m"),
-        "horizontal_markov_sigma": ("Slow error, horizontal, 1σ", 1.0, "m"),
-        "vertical_markov_sigma": ("Slow error, vertical, 1σ", 1.0, "m"),
-        "velocity_sigma": ("Velocity noise, 1σ", 1.0, "m/s"),
-        "lever_arm_b": ("Lever arm, body axes", 1.0, "m"),
-        "latency_s": ("Latency", 1.0, "s"),
-    },
-    "mag": {
-        "noise_sigma": ("Noise, 1σ", 1.0, "µT"),
-        "turn_on_bias": ("Hard iron, 1σ", 1.0, "µT"),
-        "soft_iron": ("Soft iron, 1σ", 100.0, "%"),
-        "misalignment": ("Misalignment, 1σ", DEGREE, "°"),
-        "range": ("Range, ±", 1.0, "µT"),
-        "resolution": ("Resolution", 1.0, "µT"),
-        "field_n": ("Local field, north-east-down", 1.0, "µT"),
-    },
-    "baro": {
-        "noise_sigma": ("Noise, 1σ", 1.0, "Pa"),
-        "turn_on_bias": ("Bias, 1σ", 1.0, "Pa"),
-        "drift": ("Drift", 1.0, "Pa/√s"),
-        "resolution": ("Resolution", 1.0, "Pa"),
-    },
-}
-NAMES = {"imu": "Inertial sensors", "gnss": "GNSS receiver", "mag": "Magnetometer", "baro": "Barometer"}
 
 
 def sensor_tables(result: Result) -> list[Table]:
     """One table per sensor that the run had."""
     tables = []
     for sensor, spec in result.info.get("sensors", {}).items():
-        title = ", ".join(filter(None, (NAMES.get(sensor, sensor), str(spec.get("name", "")))))
+        known = SENSORS.get(sensor)
+        kind = "Inertial sensors" if sensor == "imu" else known.title if known else sensor
+        title = ", ".join(filter(None, (kind, str(spec.get("name", "")))))
         rate = [("Rate", [Cell(f"{number(spec['rate_hz'])} Hz")])] if "rate_hz" in spec else []
         if sensor == "imu":
             rows = [("Rate", [*rate[0][1], *rate[0][1]])] if rate else []
             rows += _triads(spec.get("gyro", {}), spec.get("accel", {}))
             columns = [Column("Gyroscope"), Column("Accelerometer")]
         else:
-            known = OTHERS.get(sensor, {})
             rows = rate + [
                 (name, [Cell(text)])
-                for key, (name, factor, unit) in known.items()
+                for key, (name, factor, unit) in (known.rows if known else {}).items()
                 if (text := _text(spec, key, factor, unit))
             ]
             columns = [Column("Value")]

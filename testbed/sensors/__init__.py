@@ -1,4 +1,4 @@
-"""Sensors: what an IMU, a GNSS receiver, a magnetometer and a barometer record on a flight.
+"""Sensors: what an IMU and the sensors beside it (GNSS, magnetometer, barometer, odometer ...) record on a flight.
 
 `sense_flight` for a flight, `static_log` for a sensor at rest, `list_sensors` for the catalogue. Models and their sources
 are in the modules, one per sensor; SI units and radians.
@@ -9,12 +9,22 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
-from testbed.sensors.catalog import list_sensors
 from testbed.sensors.draws import VARIED, Draws
 
 if TYPE_CHECKING:
     from testbed.records import SensorErrors, SensorLog, Trajectory
-    from testbed.sensors.config import InitialConfig, SensorsConfig
+    from testbed.sensors.config import InitialConfig
+    from testbed.sensors.registry import SensorsConfig
+
+
+def __getattr__(name: str) -> Any:
+    """`list_sensors`, with the registry that it needs, when it is first asked for."""
+    if name == "list_sensors":
+        from testbed.sensors.registry import list_sensors
+
+        return list_sensors
+    raise AttributeError(f"module 'testbed.sensors' has no attribute '{name}'")
+
 
 __all__ = ["list_sensors", "sense_flight", "static_log"]
 
@@ -33,26 +43,19 @@ def sense_flight(
     InputError for a configuration that does not fit the flight.
     """
     from testbed.records import SensorErrors, SensorLog
-    from testbed.sensors.barometer import sense_baro
-    from testbed.sensors.gnss import sense_gnss
     from testbed.sensors.imu import motion_of, sense_imu
     from testbed.sensors.initial import draw_initial
-    from testbed.sensors.magnetometer import sense_mag
+    from testbed.sensors.registry import SENSORS
 
     draws = Draws(seed, run, vary)
     imu, bias, constants = sense_imu(sensors.imu, motion_of(trajectory, sensors.imu.rate_hz), draws)
-    gnss = mag = baro = None
-    if sensors.gnss is not None:
-        gnss, drawn = sense_gnss(sensors.gnss, trajectory, draws, imu.spec.lever_arm_b)
-        constants |= drawn
-    if sensors.mag is not None:
-        mag, drawn = sense_mag(sensors.mag, trajectory, draws)
-        constants |= drawn
-    if sensors.baro is not None:
-        baro, drawn = sense_baro(sensors.baro, trajectory, draws)
-        constants |= drawn
+    aiding = {}
+    for kind, sensor in SENSORS.items():
+        if (config := getattr(sensors, kind)) is not None:
+            aiding[kind], drawn = sensor.sense(config, trajectory, draws, imu.spec.lever_arm_b)
+            constants |= drawn
     start = draw_initial(initial, trajectory, imu.spec, {name: values[0] for name, values in bias.items()}, draws)
-    log = SensorLog(imu, start, gnss, mag, baro, trajectory.name)
+    log = SensorLog(imu, start, name=trajectory.name, aiding=aiding)
     return log, SensorErrors(imu.t, bias["accel"], bias["gyro"], constants)
 
 

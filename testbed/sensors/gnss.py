@@ -7,18 +7,18 @@ s from the start of the flight; a fix may fall anywhere between the samples of t
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.earth import earth_rate_n, metres_per_radian
+from testbed.columns import columns, stack
 from testbed.errors import InputError
 from testbed.records import Array, GnssFixes, Trajectory
-from testbed.rotations import quats_to_matrices
-from testbed.sensors import kernels
 from testbed.sensors.config import GnssConfig, OutlierBursts, RandomOutages
 from testbed.sensors.draws import Draws
+from testbed.sensors.sensor import Column, Sensor
 from testbed.specs import GnssSpec, Vector
 
 Windows = tuple[tuple[float, float], ...]
@@ -26,19 +26,22 @@ _SNAP_S = 1e-9
 
 
 def sense_gnss(
-    config: GnssConfig, trajectory: Trajectory, draws: Draws, imu_lever_arm_b: Vector
+    config: GnssConfig, trajectory: Trajectory, draws: Draws, arm_b: Vector
 ) -> tuple[GnssFixes, dict[str, Any]]:
     """The fixes, and what was drawn. Every fix draws its errors whether it is lost or not."""
+    from testbed.earth import metres_per_radian
+    from testbed.interpolate import point_state
+
     spec = config.spec()
     outages = outage_windows(config, trajectory, draws)
     moments = fix_moments(spec, config.time_offset_s, trajectory)
     stamps = moments + spec.latency_s
     factor, reported = _dilution(config, trajectory, stamps)
-    lat, lon, h, v_n = point_state(trajectory, moments, np.array(imu_lever_arm_b) + np.array(spec.lever_arm_b))
+    lat, lon, h, v_n = point_state(trajectory, moments, np.array(arm_b) + np.array(spec.lever_arm_b))
     errors = factor[:, None] * _errors(spec, len(moments), draws)
     constants: dict[str, Any] = {}
     if config.outliers is not None:
-        bursts = _bursts(config.outliers, trajectory, draws)
+        bursts = _bursts(config.outliers, trajectory, len(moments), draws)
         constants["gnss_outlier_bursts"] = bursts
         errors += _burst_errors(config.outliers, bursts, stamps, draws)
     north, east = metres_per_radian(lat, h)
@@ -69,34 +72,6 @@ def fix_moments(spec: GnssSpec, offset_s: float, trajectory: Trajectory) -> Arra
     k = np.clip(np.searchsorted(trajectory.t, moments - _SNAP_S), 0, len(trajectory.t) - 1)
     moments = np.minimum(moments, end)
     return np.where(np.abs(trajectory.t[k] - moments) <= _SNAP_S, trajectory.t[k], moments)
-
-
-def point_state(trajectory: Trajectory, t: Array, arm_b: Array) -> tuple[Array, Array, Array, Array]:
-    """True lat, lon (rad), h (m), v_n (n,3) of a point at ``arm_b`` (m, in b) from the reference point, at times ``t``.
-
-    Groves eq. 2.165 and 2.166: r + C_nb l and v + C_nb (w_eb_b × l).
-    """
-    from testbed.interpolate import state_at
-
-    lat, lon, h, v_n, q_nb = state_at(trajectory, t)
-    if not arm_b.any() or not len(t):
-        return lat, lon, h, v_n
-    matrices = quats_to_matrices(q_nb)
-    arm_n = matrices @ arm_b
-    w_ib_b = np.stack([np.interp(t, *_rate_curve(trajectory, axis)) for axis in range(3)], axis=1)
-    w_ie_n = np.stack(np.broadcast_arrays(*earth_rate_n(lat)), axis=1)
-    w_eb_n = np.einsum("kij,kj->ki", matrices, w_ib_b) - w_ie_n
-    north, east = metres_per_radian(lat, h)
-    return lat + arm_n[:, 0] / north, lon + arm_n[:, 1] / east, h - arm_n[:, 2], v_n + np.cross(w_eb_n, arm_n)
-
-
-def _rate_curve(trajectory: Trajectory, axis: int) -> tuple[Array, Array]:
-    """Angular rate at moments: an interval's mean belongs to its middle; the ends are extrapolated."""
-    t, w = trajectory.t, trajectory.w_ib_b[1:, axis]
-    if len(w) < 2:
-        return t, np.full(len(t), w[0])
-    first, last = 1.5 * w[0] - 0.5 * w[1], 1.5 * w[-1] - 0.5 * w[-2]
-    return np.concatenate([t[:1], t[1:] - 0.5 * np.diff(t), t[-1:]]), np.concatenate([[first], w, [last]])
 
 
 def outage_windows(config: GnssConfig, trajectory: Trajectory, draws: Draws) -> Windows:
@@ -136,6 +111,8 @@ def _inside(windows: Windows, t: Array) -> NDArray[np.bool_]:
 
 def _errors(spec: GnssSpec, n: int, draws: Draws) -> Array:
     """(n,6) errors: m north, east, down, then m/s."""
+    from testbed.sensors import kernels
+
     h, v = spec.horizontal_sigma, spec.vertical_sigma
     s = spec.velocity_sigma
     errors = np.array([h, h, v, s, s, s]) * draws.noise("gnss.white").standard_normal((n, 6))
@@ -166,7 +143,11 @@ def _dilution(config: GnssConfig, trajectory: Trajectory, t: Array) -> tuple[Arr
     return factor, reported
 
 
-def _bursts(wanted: OutlierBursts, trajectory: Trajectory, draws: Draws) -> Windows:
+def _bursts(wanted: OutlierBursts, trajectory: Trajectory, fixes: int, draws: Draws) -> Windows:
+    if wanted.count > fixes:
+        raise InputError(
+            f"[sensors.gnss.outliers] {wanted.count} bursts are more than the {fixes} fixes of this flight"
+        )
     first, last = trajectory.t[0] + wanted.after_s, trajectory.t[-1] - wanted.duration_s
     if last < first:
         raise InputError(
@@ -182,7 +163,59 @@ def _burst_errors(wanted: OutlierBursts, bursts: Windows, t: Array, draws: Draws
     directions = draws.noise("gnss.outliers.direction").standard_normal((len(bursts), 2, 3))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     for burst, (position, velocity) in zip(bursts, directions, strict=True):
-        inside = _inside((burst,), t)
+        inside = slice(*np.searchsorted(t, burst))
         errors[inside, :3] += wanted.offset_m * position
         errors[inside, 3:] += wanted.offset_mps * velocity
     return errors
+
+
+_NED = ("north", "east", "down")
+
+
+def _stored(fixes: GnssFixes) -> tuple[dict[str, Array], dict[str, Any]]:
+    """A stored log keeps radians, which degrees would round, the receiver's accuracy and its outages."""
+    table = SENSOR.table(fixes) | {"lat_rad": fixes.lat, "lon_rad": fixes.lon}
+    return table | ({} if fixes.std is None else columns("std_{}", range(6), fixes.std)), {
+        "outages": list(fixes.outages)
+    }
+
+
+def _restored(table: Mapping[str, Array], meta: Mapping[str, Any], spec: GnssSpec) -> GnssFixes:
+    return GnssFixes(
+        t=table["time_s"],
+        lat=table["lat_rad"],
+        lon=table["lon_rad"],
+        h=table["alt_m"],
+        v_n=stack(table, "v_{}_mps", _NED),
+        spec=spec,
+        outages=tuple((a, b) for a, b in meta["outages"]),
+        std=stack(table, "std_{}", range(6)) if "std_0" in table else None,
+    )
+
+
+SENSOR = Sensor(
+    kind="gnss",
+    title="GNSS receiver",
+    spec=GnssSpec,
+    config=GnssConfig,
+    samples=GnssFixes,
+    sense=sense_gnss,
+    columns=(
+        Column("lat", "lat_deg", "angle", factor=math.degrees(1.0)),
+        Column("lon", "lon_deg", "angle", factor=math.degrees(1.0)),
+        Column("h", "alt_m", "length"),
+        Column("v_n", "v_{}_mps", "speed", _NED),
+    ),
+    rows={
+        "horizontal_sigma": ("Position noise, horizontal, 1σ", 1.0, "m"),
+        "vertical_sigma": ("Position noise, vertical, 1σ", 1.0, "m"),
+        "horizontal_markov_sigma": ("Slow error, horizontal, 1σ", 1.0, "m"),
+        "vertical_markov_sigma": ("Slow error, vertical, 1σ", 1.0, "m"),
+        "velocity_sigma": ("Velocity noise, 1σ", 1.0, "m/s"),
+        "lever_arm_b": ("Lever arm, body axes", 1.0, "m"),
+        "latency_s": ("Latency", 1.0, "s"),
+    },
+    rank=0,
+    write=_stored,
+    read=_restored,
+)

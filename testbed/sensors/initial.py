@@ -11,11 +11,11 @@ import math
 import numpy as np
 
 from testbed.earth import G0, metres_per_radian
+from testbed.interpolate import point_state
 from testbed.records import Array, InitialState, Trajectory
 from testbed.rotations import quat_multiply, rotvec_to_quat
 from testbed.sensors.config import InitialConfig
 from testbed.sensors.draws import Draws
-from testbed.sensors.gnss import point_state
 from testbed.specs import ImuSpec, TriadSpec
 
 SMALLEST_STD = np.repeat([1e-4, 1e-5, 1e-7, 1e-8, 1e-10], 3)

@@ -15,10 +15,10 @@ import numpy as np
 
 from testbed.errors import InputError
 from testbed.records import Array, MagSamples, Trajectory
-from testbed.rotations import quat_to_matrix, quats_to_matrices, rotvec_to_quat
 from testbed.sensors.config import MagConfig
 from testbed.sensors.draws import Draws
-from testbed.specs import MagSpec
+from testbed.sensors.sensor import Column, Sensor
+from testbed.specs import MagSpec, Vector
 
 TRACK_INTERVAL_S = 60.0
 """Between the points of the flight at which the field model is evaluated: over 10 km the field is linear to a few nT."""
@@ -39,9 +39,12 @@ def _model(epoch: int) -> Any:
     return GeoMag(base_year=epoch)
 
 
-def sense_mag(config: MagConfig, trajectory: Trajectory, draws: Draws) -> tuple[MagSamples, dict[str, Any]]:
-    """Samples, and what was drawn."""
-    from testbed.interpolate import state_at
+def sense_mag(
+    config: MagConfig, trajectory: Trajectory, draws: Draws, arm_b: Vector
+) -> tuple[MagSamples, dict[str, Any]]:
+    """Samples, and what was drawn; the field is the same all over the vehicle."""
+    from testbed.interpolate import sample_times, state_at
+    from testbed.rotations import quats_to_matrices
 
     spec = config.spec()
     t = sample_times(trajectory, spec.rate_hz)
@@ -62,12 +65,6 @@ def sense_mag(config: MagConfig, trajectory: Trajectory, draws: Draws) -> tuple[
     return MagSamples(t, field, spec), {"mag_distortion": distortion, "mag_hard_iron": hard_iron}
 
 
-def sample_times(trajectory: Trajectory, rate_hz: float) -> Array:
-    """From one interval after the start to the end."""
-    start, end = trajectory.t[0], trajectory.t[-1]
-    return np.minimum(start + np.arange(1, math.floor((end - start) * rate_hz + 1e-6) + 1) / rate_hz, end)
-
-
 def _along_track(t: Array, lat: Array, lon: Array, h: Array, year: float) -> Array:
     points = 2 + int((t[-1] - t[0]) / TRACK_INTERVAL_S)
     rows = np.unique(np.linspace(0, len(t) - 1, points).astype(int))
@@ -77,6 +74,8 @@ def _along_track(t: Array, lat: Array, lon: Array, h: Array, year: float) -> Arr
 
 def _iron(spec: MagSpec, draws: Draws) -> tuple[Array, Array]:
     """Matrix of soft iron and misalignment, and the hard iron vector."""
+    from testbed.rotations import quat_to_matrix, rotvec_to_quat
+
     soft = np.eye(3) + spec.soft_iron * draws.turn_on("mag.soft_iron").standard_normal((3, 3))
     turn = spec.misalignment * draws.turn_on("mag.misalignment").standard_normal(3)
     hard = spec.turn_on_bias * draws.turn_on("mag.hard_iron").standard_normal(3)
@@ -93,3 +92,24 @@ def _disturb(field: Array, t: Array, config: MagConfig, trajectory: Trajectory, 
             )
         inside = (t >= burst.start_s) & (t < burst.end_s)
         field[inside] += np.array(burst.field_ut) + burst.noise_ut * rng.standard_normal((int(inside.sum()), 3))
+
+
+SENSOR = Sensor(
+    kind="mag",
+    title="Magnetometer",
+    spec=MagSpec,
+    config=MagConfig,
+    samples=MagSamples,
+    sense=sense_mag,
+    columns=(Column("field", "mag_{}_ut", "magnetic field", ("x", "y", "z")),),
+    rows={
+        "noise_sigma": ("Noise, 1σ", 1.0, "µT"),
+        "turn_on_bias": ("Hard iron, 1σ", 1.0, "µT"),
+        "soft_iron": ("Soft iron, 1σ", 100.0, "%"),
+        "misalignment": ("Misalignment, 1σ", math.degrees(1.0), "°"),
+        "range": ("Range, ±", 1.0, "µT"),
+        "resolution": ("Resolution", 1.0, "µT"),
+        "field_n": ("Local field, north-east-down", 1.0, "µT"),
+    },
+    rank=1,
+)

@@ -8,7 +8,8 @@ import pytest
 from testbed.records import Trajectory
 from testbed.schema import validate
 from testbed.sensors import sense_flight, static_log
-from testbed.sensors.config import InitialConfig, SensorsConfig
+from testbed.sensors.config import InitialConfig
+from testbed.sensors.registry import SensorsConfig
 
 HOUR = 3600.0
 

@@ -1,0 +1,183 @@
+"""Motion scripts of a vehicle on the ground, ``[flight] type = "drive"``: what JSBSim does not fly, as pure kinematics.
+
+The middle of the rear axle moves along the track and the body looks along it: no slip, no suspension, level across. Every
+change of speed, heading or slope follows the same smooth step, so that acceleration and its rate are continuous. Truth
+comes from the splines of `testbed.flight.truth`, as for flights. Angles in degrees in the keys; SI units and radians inside.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from testbed.errors import FlightError
+from testbed.schema import Table
+
+if TYPE_CHECKING:
+    from testbed.records import Array, Trajectory
+
+Speed = Annotated[float, Field(gt=0, le=100)]
+STANDSTILL = 1e-9
+"""m/s: below it a vehicle stands."""
+HILL_EDGE = 0.2
+"""Share of a stretch with a grade over which the slope builds up, and again over which it goes."""
+
+
+class DriveStart(Table):
+    """``[flight.initial]`` of a drive."""
+
+    lat_deg: float = Field(default=45.0, ge=-85, le=85, description="Latitude, °")
+    lon_deg: float = Field(default=10.0, ge=-180, le=180, description="Longitude, °")
+    alt_m: float = Field(default=200.0, ge=-500, le=9000, description="Height above the ellipsoid, m")
+    speed_mps: float = Field(default=0.0, ge=0, le=100, description="Speed along the track, m/s")
+    heading_deg: float = Field(default=0.0, ge=-360, le=360, description="Heading from north, clockwise, °")
+
+
+class _Part(Table):
+    name: str = Field(default="", max_length=60, description="Name of the phase; default: the type")
+
+    @property
+    def label(self) -> str:
+        """The name of its phase."""
+        return self.name or self.type  # type: ignore[attr-defined]
+
+
+class StraightRoad(_Part):
+    """Keep speed and heading; over a hill, if there is a grade, that begins and ends level."""
+
+    type: Literal["straight"]
+    duration_s: float = Field(gt=0, le=200_000, description="How long, s")
+    grade_pct: float = Field(
+        default=0.0, ge=-40, le=40, description="Slope in the middle of the stretch, positive up, %"
+    )
+
+
+class Bend(_Part):
+    """Turn by an angle; the curvature rises to that of the tightest radius in the middle, and falls."""
+
+    type: Literal["turn"]
+    radius_m: float = Field(gt=0, le=100_000, description="Tightest radius, m")
+    heading_change_deg: float = Field(gt=0, le=36_000, description="By how much, °")
+    direction: Literal["left", "right"] = Field(default="right", description="Side")
+
+
+class SpeedChange(_Part):
+    """Speed up or slow down to a speed; the acceleration is largest in the middle."""
+
+    type: Literal["accelerate"]
+    to_speed_mps: Speed = Field(description="Speed at the end, m/s")
+    acceleration_mps2: float = Field(default=2.0, gt=0, le=20, description="Largest size of the acceleration, m/s²")
+
+
+class Stop(_Part):
+    """Brake to a standstill, and stand."""
+
+    type: Literal["stop"]
+    duration_s: float = Field(default=5.0, ge=0, le=200_000, description="How long to stand, s")
+    acceleration_mps2: float = Field(default=2.0, gt=0, le=20, description="Largest deceleration, m/s²")
+
+
+AnyPart = Annotated[StraightRoad | Bend | SpeedChange | Stop, Field(discriminator="type")]
+
+
+class DriveConfig(Table):
+    """``[flight]`` with ``type = "drive"``: who drives what."""
+
+    type: Literal["drive"]
+    vehicle: str = Field(default="car", max_length=60, description="Its name in tables")
+    rate_hz: float = Field(default=100.0, ge=10, le=1000, description="Rows of the truth per second, Hz")
+    initial: DriveStart = DriveStart()
+    manoeuvres: list[AnyPart] = Field(min_length=1, description="What it does, one after the other")
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A stretch of time over which speed, heading or path angle take one smooth step (or none)."""
+
+    name: str
+    duration: float
+    speed: tuple[float, float]
+    heading: tuple[float, float]
+    slope: float = 0.0
+
+
+def drive(config: DriveConfig) -> Trajectory:
+    """The truth of a drive. Raises FlightError for what a vehicle cannot do."""
+    from testbed.flight.truth import make_trajectory
+    from testbed.records import Phase
+
+    legs = plan(config)
+    ends = np.cumsum([leg.duration for leg in legs])
+    t = np.arange(math.floor(ends[-1] * config.rate_hz + 1e-6) + 1) / config.rate_hz
+    if len(t) < 4:
+        raise FlightError(f"a drive of {ends[-1]:.3g} s is too short")
+    speed, heading, slope = _motion(legs, ends, t)
+    level = speed * np.cos(slope)
+    v_n = np.column_stack([level * np.cos(heading), level * np.sin(heading), -speed * np.sin(slope)])
+    start = config.initial
+    place = (math.radians(start.lat_deg), math.radians(start.lon_deg), start.alt_m)
+    phases: list[Phase] = []
+    for leg, end in zip(legs, ends, strict=True):
+        begin = phases[-1].end if phases else 0.0
+        if phases and phases[-1].name == leg.name and leg.speed == (0.0, 0.0):  # a stop brakes, then stands
+            begin = phases.pop().start
+        phases.append(Phase(leg.name, begin, float(min(end, t[-1]))))
+    euler = np.column_stack([np.zeros(len(t)), slope, heading])
+    return make_trajectory(v_n, euler, config.rate_hz, place, {"speed_mps": speed}, tuple(phases), config.vehicle)
+
+
+def plan(config: DriveConfig) -> list[Leg]:
+    """The manoeuvres as legs. Raises FlightError that names the manoeuvre which cannot be driven."""
+    speed, heading = config.initial.speed_mps, math.radians(config.initial.heading_deg)
+    legs: list[Leg] = []
+    for number, part in enumerate(config.manoeuvres, 1):
+        place = f"manoeuvre {number} of {len(config.manoeuvres)} ({part.type})"
+        if isinstance(part, SpeedChange | Stop):
+            wanted = part.to_speed_mps if isinstance(part, SpeedChange) else 0.0
+            # the smooth step is steepest in its middle, twice its mean: 2 dv / T = the largest acceleration
+            if (needed := 2.0 * abs(wanted - speed) / part.acceleration_mps2) > 0.0:
+                legs.append(Leg(part.label, needed, (speed, wanted), (heading, heading)))
+            speed = wanted
+            if isinstance(part, Stop) and part.duration_s:
+                legs.append(Leg(part.label, part.duration_s, (0.0, 0.0), (heading, heading)))
+            continue
+        if isinstance(part, StraightRoad):
+            if part.grade_pct and speed <= STANDSTILL:
+                raise FlightError(f"{place}: grade_pct needs a moving vehicle; accelerate first")
+            slope = math.atan(0.01 * part.grade_pct)
+            legs.append(Leg(part.label, part.duration_s, (speed, speed), (heading, heading), slope))
+            continue
+        if speed <= STANDSTILL:
+            raise FlightError(f"{place}: a vehicle that stands cannot turn; accelerate first")
+        change = math.radians(part.heading_change_deg)
+        end = heading + math.copysign(change, 1.0 if part.direction == "right" else -1.0)
+        legs.append(Leg(part.label, 2.0 * change * part.radius_m / speed, (speed, speed), (heading, end)))
+        heading = end
+    if not legs:
+        raise FlightError("the drive does nothing: its manoeuvres change neither speed nor place, and take no time")
+    return legs
+
+
+def smooth_step(x: Array) -> Array:
+    """From 0 at x = 0 to 1 at x = 1: x - sin(2 pi x) / (2 pi), whose first two derivatives vanish at both ends."""
+    x = np.clip(x, 0.0, 1.0)
+    return x - np.sin(2.0 * np.pi * x) / (2.0 * np.pi)
+
+
+def _motion(legs: list[Leg], ends: Array, t: Array) -> tuple[Array, Array, Array]:
+    """Speed (m/s), heading and path angle (rad) at the times ``t``, all (N,)."""
+    speed, heading, slope = np.empty(len(t)), np.empty(len(t)), np.zeros(len(t))
+    which = np.minimum(np.searchsorted(ends, t, side="right"), len(legs) - 1)
+    for k, leg in enumerate(legs):
+        rows = which == k
+        x = (t[rows] - (ends[k] - leg.duration)) / leg.duration
+        step = smooth_step(x)
+        speed[rows] = leg.speed[0] + step * (leg.speed[1] - leg.speed[0])
+        heading[rows] = leg.heading[0] + step * (leg.heading[1] - leg.heading[0])
+        if leg.slope:
+            slope[rows] = leg.slope * smooth_step(x / HILL_EDGE) * smooth_step((1.0 - x) / HILL_EDGE)
+    return speed, heading, slope
