@@ -38,8 +38,11 @@ class IndirectKf:
 
     Scales multiply a standard deviation (or root spectral density) of the specification; 1 is the data sheet. Each is one
     number, or three: along x, y, z of the body, or north, east, down.
-    ``process_noise`` (12 root densities: accelerometer x y z, gyro x y z, accelerometer bias x y z, gyro bias x y z; SI)
-    and ``measurement_noise`` (6 standard deviations: m N E D, m/s N E D) replace it altogether; the scales still apply.
+    ``accel_noise_scale``, ``gyro_noise_scale``: of the white noise. ``accel_bias_scale``, ``gyro_bias_scale``: of what
+    drives the biases. ``position_std_scale``, ``velocity_std_scale``: of the receiver's stated accuracy.
+    ``process_noise``: 12 root densities (accelerometer x y z, gyro x y z, accelerometer bias x y z, gyro bias x y z, SI) in
+    place of the specification's, to which the scales still apply. ``measurement_noise``: likewise 6 standard deviations
+    (m N E D, m/s N E D) in place of the receiver's.
     """
 
     accel_noise_scale: float | tuple[float, ...] = 1.0

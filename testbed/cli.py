@@ -378,24 +378,25 @@ def list_command(
             help="scenarios, aircraft, manoeuvres, sensors, estimators or metrics.", autocompletion=completion.listable
         ),
     ],
+    name: Annotated[str | None, typer.Argument(help="One of the estimators: its parameters and parts.")] = None,
     plugin: PluginOption = None,
 ) -> None:
     """What the bench ships and finds."""
     from testbed import commands
 
     _load_plugins(plugin)
-    commands.show(what)
+    commands.show(what, name)
 
 
 @app.command("new")
 def new_command(
     kind: Annotated[
-        str, typer.Argument(help="estimator, scenario or aircraft.", autocompletion=completion.starting_files)
+        str, typer.Argument(help="estimator, policy, scenario or aircraft.", autocompletion=completion.starting_files)
     ],
     name: Annotated[str, typer.Argument(help="Its name; the file goes into this folder.")],
     like: Annotated[str | None, typer.Option("--like", help="The aircraft to start from (default: aerosonde).")] = None,
 ) -> None:
-    """A starting file that works as it is: an estimator, a scenario, or a copy of an aircraft."""
+    """A starting file that works as it is: an estimator, a policy, a scenario, or a copy of an aircraft."""
     from testbed.new import command_for, new_file
 
     path = new_file(kind, name, like=like)

@@ -8,6 +8,7 @@ import re
 import shutil
 import sys
 import tempfile
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -354,9 +355,13 @@ def compare(old: Path, new: Path, windows: bool = False) -> int:
     return int(len(gone) > 0 or (changes["verdict"] == "worse").any())
 
 
-def show(what: str) -> None:
-    """``testbed list``."""
-    if what == "scenarios":
+def show(what: str, name: str | None = None) -> None:
+    """``testbed list``; ``name``: one of the estimators, with its parameters."""
+    if name is not None:
+        if what != "estimators":
+            raise InputError(f"testbed list {what} {name}: only 'list estimators' takes a name")
+        show_estimator(name)
+    elif what == "scenarios":
         from testbed.scenario import list_scenarios
         from testbed.schema import read_toml
 
@@ -393,3 +398,29 @@ def show(what: str) -> None:
         print(f"consistency: {', '.join(NEES)}, {NIS}\ntime: {TIME_METRIC}")
     else:
         raise InputError(f"cannot list '{what}'; {nearest(what, LISTS)}")
+
+
+def show_estimator(name: str) -> None:
+    """``testbed list estimators NAME``: what it is, its parameters, and the parts that it can be composed of."""
+    import inspect
+
+    from testbed.registry import describe_parameters, estimator_class
+
+    kind = estimator_class(name)
+    print(f"{name}: {(inspect.getdoc(kind) or '').split(chr(10))[0]}\n")
+    print_columns(("parameter", "default", "range", "meaning"), describe_parameters(name))
+    parts: Mapping[str, list[tuple[str, str]]] = getattr(kind, "describe", dict)()
+    for title, rows in parts.items():
+        print()
+        print_columns((title, ""), rows)
+
+
+def print_columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Text in columns of their own width, the last one wrapped to the screen."""
+    width = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head) - 1)]
+    indent = sum(width) + 2 * len(width)
+    room = max(30, shutil.get_terminal_size((120, 24)).columns - indent)
+    for *cells, text in (head, *rows):
+        lines = textwrap.wrap(text, room) or [""]
+        start = "".join(f"{cell:{w}s}  " for cell, w in zip(cells, width, strict=True))
+        print("\n".join([(start + lines[0]).rstrip(), *(" " * indent + line for line in lines[1:])]))

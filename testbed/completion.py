@@ -57,7 +57,7 @@ def formats(incomplete: str) -> list[str]:
 
 def starting_files(incomplete: str) -> list[str]:
     """What ``testbed new`` writes."""
-    return [name for name in ("estimator", "scenario", "aircraft") if name.startswith(incomplete)]
+    return [name for name in ("estimator", "policy", "scenario", "aircraft") if name.startswith(incomplete)]
 
 
 def _tables(ctx: typer.Context, key: str) -> Any:

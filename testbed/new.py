@@ -1,4 +1,4 @@
-"""Starting points: ``testbed new estimator|scenario|aircraft NAME`` writes one that works as it is.
+"""Starting points: ``testbed new estimator|policy|scenario|aircraft NAME`` writes one that works as it is.
 
 The files under ``templates/`` are themselves valid; only the names in them are replaced. An aircraft starts as a copy of
 a shipped one.
@@ -10,6 +10,7 @@ import keyword
 import re
 import shutil
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -20,7 +21,7 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([_-][A-Za-z0-9]+)*")
 
 
 def new_file(kind: str, name: str, folder: Path = Path(), like: str | None = None) -> Path:
-    """Write the starting file of a ``kind`` (estimator, scenario or aircraft) into ``folder`` and return its path.
+    """Write the starting file of a ``kind`` (estimator, policy, scenario or aircraft) into ``folder`` and return its path.
 
     An aircraft is a folder, a copy of the shipped aircraft ``like``. Raises InputError for an unknown kind, a name that
     is malformed or taken, and a file that exists.
@@ -45,7 +46,8 @@ def new_file(kind: str, name: str, folder: Path = Path(), like: str | None = Non
     return path
 
 
-def _estimator(name: str) -> tuple[str, str]:
+def _module(kind: str, name: str) -> tuple[str, str]:
+    """A plug-in: its file's name, and the template of its kind under the name and a class of that name."""
     from testbed.registry import list_estimators
 
     module = name.replace("-", "_")
@@ -53,11 +55,11 @@ def _estimator(name: str) -> tuple[str, str]:
         raise InputError(f"'{name}' is an estimator already; give another name")
     if not Path(f"{module}.py").exists() and find_spec(module) is not None:
         raise InputError(f"{module}.py would hide the Python module '{module}'; give another name")
-    text = (TEMPLATES / "estimator.py").read_text(encoding="utf-8")
+    text = (TEMPLATES / f"{kind}.py").read_text(encoding="utf-8")
     title = "".join(word[0].upper() + word[1:] for word in re.split("[_-]", name))
     if keyword.iskeyword(title) or re.search(rf"\b{title}\b", text):
-        title += "Estimator"
-    return f"{module}.py", text.replace("my-estimator", name).replace("MyEstimator", title)
+        title += kind.title()
+    return f"{module}.py", text.replace(f"my-{kind}", name).replace(f"My{kind.title()}", title)
 
 
 def _scenario(name: str) -> tuple[str, str]:
@@ -68,7 +70,11 @@ def _scenario(name: str) -> tuple[str, str]:
     return f"{name}.toml", (TEMPLATES / "scenario.toml").read_text(encoding="utf-8").replace("my-scenario", name)
 
 
-KINDS: dict[str, Callable[[str], tuple[str, str]]] = {"estimator": _estimator, "scenario": _scenario}
+KINDS: dict[str, Callable[[str], tuple[str, str]]] = {
+    "estimator": partial(_module, "estimator"),
+    "policy": partial(_module, "policy"),
+    "scenario": _scenario,
+}
 
 
 def _aircraft(path: Path, like: str) -> Path:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import inspect
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache, cached_property
@@ -85,7 +86,11 @@ def _check_kinds(name: str, kind: type, params: Mapping[str, Any]) -> None:
     """Refuse text for a number and the like, where the default of a parameter tells what it is; a list may stand for a number."""
     for key, parameter in inspect.signature(kind).parameters.items():
         usual, given = parameter.default, params.get(key)
-        if given is None or not isinstance(usual, bool | int | float | str) or parameter.annotation in (Any, "Any"):
+        if (
+            given is None
+            or not isinstance(usual, bool | int | float | str)
+            or parameter.annotation in (Any, object, "Any", "object")
+        ):
             continue
         number = not isinstance(usual, bool | str)
         if isinstance(given, str | bool) if number else not isinstance(given, type(usual)):
@@ -124,6 +129,53 @@ def parameter_names(kind: type) -> list[str] | None:
     if any(p.kind is p.VAR_KEYWORD for p in parameters):
         return None
     return [p.name for p in parameters]
+
+
+def describe_parameters(name: str) -> list[tuple[str, str, str, str]]:
+    """A row per parameter of an estimator: name, default, range that a tuner may search, meaning.
+
+    The meaning is ``metadata={"help": ...}`` of the field, else the sentence of the class's docstring that has the parameter
+    in double backquotes.
+    """
+    kind = estimator_class(name)
+    fields = {f.name: f for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else {}
+    space: Mapping[str, tuple[float, float, str]] = getattr(kind, "parameter_space", {})
+    rows = []
+    for key, parameter in inspect.signature(kind).parameters.items():
+        given = fields.get(key)
+        default = parameter.default
+        if given is not None and given.default_factory is not dataclasses.MISSING:
+            default = given.default_factory()
+        shown = "must be given" if default is parameter.empty else _shown(default)
+        help_ = given.metadata.get("help", "") if given is not None else ""
+        rows.append((key, shown, _range(space.get(key)), help_ or _sentence(kind, key)))
+    known = [row[0] for row in rows]
+    return rows + [(key, "", _range(limits), "") for key, limits in space.items() if key not in known]
+
+
+def _shown(value: Any) -> str:
+    """A default as a scenario would have it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_shown, value))}]"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{k} = {_shown(v)}" for k, v in value.items()) + " }" if value else "{}"
+    return f'"{value}"' if isinstance(value, str) else "none" if value is None else str(value)
+
+
+def _range(limits: tuple[float, float, str] | None) -> str:
+    return "" if limits is None else f"{limits[0]:g} to {limits[1]:g} ({limits[2]})"
+
+
+def _sentence(kind: type, key: str) -> str:
+    """What the docstrings of a class and its parents say first about a parameter."""
+    for parent in kind.__mro__:
+        text = " ".join((parent.__dict__.get("__doc__") or "").split())
+        for sentence in re.split(r"(?<=[.;]) (?=``|[A-Z])", text):
+            if f"``{key}``" in sentence:
+                return re.sub(r"^(``\w+``(, | and )?)+: ", "", sentence).rstrip(".;").replace("``", "")
+    return ""
 
 
 def load_plugin(path: str | Path) -> list[str]:

@@ -1,14 +1,16 @@
 """Starting files: valid as they are, under any allowed name, and all that their comments offer is valid too."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from synthetic import sensor_log, weaving_flight
 
-from testbed import fly
+from testbed import fly, registry
 from testbed.errors import InputError
 from testbed.new import NAME, TEMPLATES, new_file
-from testbed.registry import load_plugin
+from testbed.registry import load_plugin, make_estimator
 from testbed.scenario import load_scenario
 
 SHORT_FLIGHT = """
@@ -25,11 +27,36 @@ name = "ins"
 """
 
 
+@pytest.fixture(autouse=True)
+def _no_plugins(monkeypatch):
+    monkeypatch.setattr(registry, "_plugins", {})
+
+
 @pytest.mark.parametrize("name", ["mine", "my-filter_2", "none", "nav-solution", "class-var", "A"])
-def test_an_estimator_loads_under_its_name(name, tmp_path):
+@pytest.mark.parametrize("kind", ["estimator", "policy"])
+def test_a_plugin_loads_under_its_name(kind, name, tmp_path):
     """Also where the class's name would be a keyword or one that the file imports."""
-    path = new_file("estimator", name, tmp_path)
+    path = new_file(kind, name, tmp_path)
     assert load_plugin(path) == [name]
+
+
+@pytest.mark.parametrize(("kind", "lines"), [("estimator", 30), ("policy", 20)])
+def test_a_plugin_is_short_and_runs(kind, lines, tmp_path):
+    """Where fixes are ten times as far off as their receiver says for a while, it is better than the filter that believes."""
+    path = new_file(kind, f"short-{kind}", tmp_path)
+    load_plugin(path)
+    code = [line for line in path.read_text().splitlines() if line.strip()]
+    assert len(code) < lines
+    truth = weaving_flight(30.0, rate=50.0)
+    log = sensor_log(truth, 1, position_sigma=3.0, velocity_sigma=0.2, std=(10.0, 1.0, 0.01))
+    bad = (log.gnss.t > 15.0) & (log.gnss.t < 25.0)
+    v_n = log.gnss.v_n + bad[:, None] * 2.0 * np.random.default_rng(0).standard_normal((len(bad), 3))
+    log = replace(log, gnss=replace(log.gnss, v_n=v_n))
+    error = {}
+    for name in ("eskf", f"short-{kind}"):
+        solution = make_estimator(name).run(log)
+        error[name] = np.sqrt(np.mean((solution.v_n - truth.v_n[1:])[500:] ** 2))
+    assert error[f"short-{kind}"] < 0.9 * error["eskf"]
 
 
 def test_everything_that_the_scenario_offers_in_comments_is_valid(tmp_path):
@@ -105,6 +132,6 @@ def test_an_existing_file_is_kept(tmp_path):
 
 
 def test_the_templates_hold_no_name_but_the_one_that_is_replaced():
-    for file, name in (("estimator.py", "my-estimator"), ("scenario.toml", "my-scenario")):
+    for file, name in (("estimator.py", "my-estimator"), ("policy.py", "my-policy"), ("scenario.toml", "my-scenario")):
         assert name in (TEMPLATES / file).read_text()
         assert NAME.fullmatch(name)

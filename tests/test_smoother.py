@@ -253,7 +253,11 @@ def test_smoothed_errors_are_as_large_as_stated(first):
 
 
 def test_memory_is_bounded(monkeypatch):
-    """42 states, 60,000 samples: all covariances would take 850 MB. 2 sqrt(N) of them are 8 MB, with Phi and what is carried 12."""
+    """42 states, 60,000 samples: all covariances would take 850 MB.
+
+    2 sqrt(N) of them are 8 MB; Phi and gains of a segment, what else a checkpoint carries, and the filter's own copy of the
+    IMU (3 MB) double that.
+    """
     flight = weaving_flight(1.0, rate=100.0)
     log, count = sensor_log(flight, gnss_rate=5.0), 60_000
     t = 0.01 * np.arange(1, count + 1)
@@ -278,7 +282,7 @@ def test_memory_is_bounded(monkeypatch):
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert 4e6 < peak - kept < 16e6
+    assert 4e6 < peak - kept < 20e6
 
 
 def test_smoothing_is_not_done_step_by_step():

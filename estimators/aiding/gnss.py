@@ -33,9 +33,13 @@ def require_gnss(log: SensorLog, name: str) -> GnssFixes:
     return log.gnss
 
 
-def fixes(log: SensorLog, columns: Columns, part: slice = slice(0, 6), name: str = "eskf") -> Measurements:
+def fixes(log: SensorLog, columns: Columns) -> Measurements:
     """Latitude, longitude (rad), height (m) and velocity (m/s) of each fix, with the sigmas that the receiver states."""
-    gnss = require_gnss(log, name)
+    return _parts_of_fixes(log, columns, slice(0, 6))
+
+
+def _parts_of_fixes(log: SensorLog, columns: Columns, part: slice) -> Measurements:
+    gnss = require_gnss(log, "eskf")
     z = np.column_stack([gnss.lat, gnss.lon, gnss.h, gnss.v_n])[:, part]
     r = np.maximum(gnss.measurement_std(), MINIMUM_STD)[:, part] ** 2
     return Measurements(gnss.t - gnss.spec.latency_s, z, r, antenna_parameters(gnss, columns))
@@ -110,12 +114,12 @@ def whole(log: SensorLog, columns: Columns) -> Measurements:
 
 def places(log: SensorLog, columns: Columns) -> Measurements:
     """Position alone."""
-    return fixes(log, columns, slice(0, 3))
+    return _parts_of_fixes(log, columns, slice(0, 3))
 
 
 def velocities(log: SensorLog, columns: Columns) -> Measurements:
     """Velocity alone."""
-    return fixes(log, columns, slice(3, 6))
+    return _parts_of_fixes(log, columns, slice(3, 6))
 
 
 PLACE = ("north, m", "east, m", "down, m")

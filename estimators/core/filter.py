@@ -287,14 +287,14 @@ def predict(model, k, dt, part):
     spread(model, motion, middle, dt)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def spread(model, motion, middle, dt):
     """Carry the covariance over a step of ``dt`` that `move` made."""
     propagate(model.p, model.propagation, model.coupling, motion, dt)
     add_noise(model.p, middle, model.inputs.white, model.inputs.drive, dt)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def move(model, k, dt, part):
     """The state's share of `predict`: returns the motion as `propagate` takes it, and C_nb in the middle of the step."""
     state, clean, corrections = model.state, model.work.clean, model.work.corrections
@@ -327,7 +327,7 @@ def move(model, k, dt, part):
     return (rates, force, v), middle
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def observe(model, k, e):
     """Residual, H and R of event ``e`` at the present state into the work arrays; returns the number of rows."""
     events = model.events

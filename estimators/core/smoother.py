@@ -11,7 +11,7 @@ checkpoints, and then again over each segment, the last one first.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -92,8 +92,7 @@ def smooth(prepared: Prepared, segment: int | None = None) -> NavSolution:
     model = make_model(prepared, recording)
     count, n = len(line.t), len(prepared.states)
     length = segment or math.isqrt(count - 1) + 1
-    # All that the filter carries from one sample to the next; the other arrays are made anew by each step.
-    carried = (model.state, model.p, model.events.memory, model.work.whole, line.now, line.place)
+    carried = _carried(model, line)
     starts, checkpoints = range(0, count, length), []
     for first in starts:
         checkpoints.append([array.copy() for array in carried])
@@ -107,6 +106,12 @@ def smooth(prepared: Prepared, segment: int | None = None) -> NavSolution:
         walk(line, taped, min(first + length, count))
         sweep(taped, adjoint, min(first + length, count))
     return solution_of(prepared, recording)
+
+
+def _carried(model: Model, line: Timeline) -> list[NDArray[Any]]:
+    """All that a filter may carry from one sample to the next."""
+    in_use = (*model.blocks[2:], *model.coupling[1:], *model.work)
+    return [model.state, model.p, model.events.memory, *in_use, line.now, line.place]
 
 
 def _make_tape(prepared: Prepared, line: Timeline, length: int) -> Tape:

@@ -19,7 +19,7 @@ from numba import njit, typeof
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.core.composition import Prepared, make_model, make_recording, make_timeline_of, solution_of
-from estimators.core.filter import AUX, REJECTED, begin, correct, observe, predict, record
+from estimators.core.filter import AUX, REJECTED, begin, correct, observe, predict, put_triple, record, triple
 from estimators.core.propagate import NAV
 from estimators.core.timeline import SAME_TIME
 from estimators.core.update import innovation_covariance
@@ -62,9 +62,15 @@ def go_on(line, model, whole, k):
 
 @njit(cache=True, nogil=True)
 def look(line, model, e):
-    """Innovation and its covariance of event ``e`` into the model's work arrays; returns their size."""
-    count = observe(model, line.place[0], e)
+    """Innovation and its covariance of event ``e`` into the model's work arrays; returns their size.
+
+    What the filter goes on with stays as it is.
+    """
     work = model.work
+    rate, force = triple(work.clean, 0), triple(work.clean, 3)
+    count = observe(model, line.place[0], e)
+    put_triple(work.clean, 0, rate)
+    put_triple(work.clean, 3, force)
     s = work.s[: count * count].reshape((count, count))
     innovation_covariance(model.p, work.h[:count], work.r[:count], s, work.scratch)
     return count

@@ -6,17 +6,20 @@ Groves, 2nd ed., chapter 14; parts: `estimators.blocks`, `estimators.aiding`, `e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import inspect
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.aiding import AIDINGS
+from estimators.blocks import BLOCKS
 from estimators.core.composition import Composition, Prepared, prepare, run
 from estimators.core.smoother import smooth
 from estimators.core.stepwise import Stepwise
-from estimators.policies import positive
+from estimators.policies import POLICIES, positive
 from testbed.errors import InputError, nearest
 from testbed.records import NavSolution, SensorLog
 
@@ -28,7 +31,7 @@ class Eskf:
     """Error-state filter from parts.
 
     ``states``: blocks beside position, velocity and attitude. ``aiding``: what corrects it. ``policy``: one for all aidings,
-    or a table with one per aiding. ``error``: "phi" or "invariant". ``options``: of an aiding, by its name.
+    or a table with one per aiding. ``error``: "phi" or "invariant". ``options``: those of aidings, by their names.
     ``noise_scale``: factors on root spectral densities of "accel" and "gyro" noise, and of what drives a block, by name;
     ``std_scale``: factors on the standard deviations of an aiding's measurements, by name. 1 is the data sheet.
     ``smooth``: states and deviations given the whole log; innovations stay those of the filter.
@@ -44,6 +47,17 @@ class Eskf:
     smooth: bool = False
 
     name = "eskf"
+    parameter_space = dict.fromkeys(("noise_scale.accel", "noise_scale.gyro"), (1e-3, 1e3, "log"))
+    """What a tuner may search in every composition; a block's noise or an aiding's deviations by name, with limits."""
+
+    @staticmethod
+    def describe() -> dict[str, list[tuple[str, str]]]:
+        """What can stand in ``states``, ``aiding`` and ``policy``: name, and summary with options."""
+        return {
+            "states": [(name, block.summary) for name, block in sorted(BLOCKS.items())],
+            "aiding": [(name, _with_options(a.summary, a.samples, 2)) for name, a in sorted(AIDINGS.items())],
+            "policy": [(name, _with_options(p.summary, p.memory, 1)) for name, p in sorted(POLICIES.items())],
+        }
 
     def __post_init__(self) -> None:
         for key in ("states", "aiding"):
@@ -102,3 +116,10 @@ class Eskf:
         drive = prepared.drive * np.concatenate([np.zeros(0), *factors])
         of_aiding = np.array([self.std_scale.get(a.name, 1.0) ** 2 for a in prepared.aidings])
         return white, drive, prepared.r * of_aiding[prepared.events[:, :1]] if len(of_aiding) else prepared.r
+
+
+def _with_options(summary: str, function: Callable[..., Any], given: int) -> str:
+    """A part's summary and the options that a scenario may set: arguments of a function behind the first ``given``."""
+    options = list(inspect.signature(function).parameters.values())[given:]
+    told = [f"{o.name} = {o.default}" for o in options if isinstance(o.default, int | float | str | tuple)]
+    return summary + (f" ({', '.join(told)})" if told else "")

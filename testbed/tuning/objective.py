@@ -156,7 +156,7 @@ class Objective:
 
     def __call__(self, x: Array) -> Array:
         """(n,d) points to (n,) values; the penalty where a candidate diverges on any recording."""
-        candidates = [self.fixed | self.space.decode(row) for row in np.atleast_2d(x)]
+        candidates = [self.space.over(self.fixed, row) for row in np.atleast_2d(x)]
         portions = [candidates[k : k + self._portion] for k in range(0, len(candidates), self._portion)]
         tasks = [(portion, k) for k in range(len(self.recordings)) for portion in portions]
         found = map(self._score, tasks) if self._pool is None else self._pool.map(self._score, tasks)

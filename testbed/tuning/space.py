@@ -2,6 +2,7 @@
 
 A parameter (a number, or a row of ``size`` numbers) has an axis: linear, or log (the coordinate is the decimal logarithm).
 With ``squared`` the coordinate and its limits are those of the parameter's square: a variance where it is a deviation.
+A dotted name is an entry of a table: ``noise_scale.accel``.
 """
 
 from __future__ import annotations
@@ -78,13 +79,27 @@ class Space:
         return [a.name if a.size is None else f"{a.name}[{k}]" for a in self.axes for k in range(a.size or 1)]
 
     def decode(self, x: Array) -> dict[str, Any]:
-        """Parameters at a point (d,)."""
+        """Parameters at a point (d,), dotted names as they are."""
         out: dict[str, Any] = {}
         start = 0
         for axis in self.axes:
             stop = start + (axis.size or 1)
             out[axis.name] = axis.to_value(x[start:stop])
             start = stop
+        return out
+
+    def over(self, fixed: Mapping[str, Any], x: Array) -> dict[str, Any]:
+        """Parameters at a point (d,) over those that stay ``fixed``. Raises InputError for an entry of what is no table."""
+        out = dict(fixed)
+        for name, value in self.decode(x).items():
+            *tables, key = name.split(".")
+            place = out
+            for table in tables:
+                inner = place.get(table, {})
+                if not isinstance(inner, Mapping):
+                    raise InputError(f"[[extra.tune.space]] {name}: '{table}' is {inner!r} and not a table")
+                place[table] = place = dict(inner)
+            place[key] = value
         return out
 
     def encode(self, params: Mapping[str, Any]) -> Array:
@@ -107,7 +122,7 @@ def make_space(estimator: str, configs: Sequence[AxisConfig], source: str = "") 
     known = parameter_names(kind)
     axes = []
     for config in chosen:
-        if known is not None and config.name not in known:
+        if known is not None and config.name.split(".")[0] not in known:
             hint = nearest(config.name, known)
             raise InputError(
                 f"{source}: [[extra.tune.space]]: estimator '{estimator}' has no parameter '{config.name}'; {hint}"

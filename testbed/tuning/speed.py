@@ -48,8 +48,8 @@ def measure(scenario: Scenario, tries: int = 5) -> pd.DataFrame:
         raise InputError(f"{scenario.source_path}: '{entry.row}' has no fast path whose speed could be measured")
     searchers = [make_searcher(r.log, r.trajectory, config.stride) for r in recordings]
     x = np.random.default_rng(0).uniform(-1.0, 1.0, (config.population, len(objectives[1].space.names)))
-    side, decode = min(searchers[0].batch_size, len(x)), objectives[1].space.decode
-    made = [make_estimator(entry.name, **(entry.params | decode(row))) for row in x]
+    side, over = min(searchers[0].batch_size, len(x)), objectives[1].space.over
+    made = [make_estimator(entry.name, **over(entry.params, row)) for row in x]
     work: dict[tuple[str, int, int], Callable[[], object]] = {
         ("one by one", 1, 2): lambda: [score(row) for row in made[:2] for score in searchers],
         ("side by side", 1, side): lambda: objectives[1](x[:side]),

@@ -214,7 +214,7 @@ def _unchanged(history: History, objective: Objective) -> None:
 
 def parameter_file(objective: Objective, x: Any) -> str:
     """A point of the space as the text of a file that ``params_file`` of a scenario can name."""
-    params = objective.fixed | objective.space.decode(x)
+    params = objective.space.over(objective.fixed, x)
     return dump_toml(
         {"params": {k: list(v) if isinstance(v, tuple) else v for k, v in params.items() if v is not None}}
     )
