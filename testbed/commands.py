@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from testbed.completion import LISTS
-from testbed.errors import OWN, InputError, MissingExtra, TestbedError, nearest
+from testbed.errors import OWN, InputError, MissingExtra, TestbedError, nearest, tell_user
 from testbed.files import check_place, writing
 from testbed.folders import Folder, check_own
-from testbed.screen import print_claims, print_failures, print_summary, progress_line, tell_user
+from testbed.screen import print_claims, print_failures, print_summary, progress_line
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -60,11 +60,11 @@ def run(
     if readings:
         if sweep:
             raise InputError("--readings and --sweep: one of them; a reading is a result of its own")
-        from testbed.readings import CAP, FIRST, command
+        from testbed.readings import CAP, FIRST
 
         auto = testbed.runner.Auto(width, cap or CAP, min(FIRST, cap or CAP))
         count = auto if runs in (None, "auto") else _run_count(runs)
-        command(lambda name: _choose_estimators(load({}, name), estimators), out, count, report, **options)
+        _readings(lambda name: _choose_estimators(load({}, name), estimators), out, count, report, **options)
         return
     count = testbed.runner.Auto(width, cap or AUTO_CAP) if runs == "auto" else _run_count(runs)
     if sweep:
@@ -103,6 +103,27 @@ def run(
                 f"{folder}: stopped before the report was made; testbed report {folder} makes it"
             ) from None
     print(f"report: {folder / 'report.html'}" if report else f"tables: {folder}; the report: testbed report {folder}")
+
+
+def _readings(
+    load: Callable[[str | None], Scenario], out: Path | None, runs: Any, report: bool, **options: Any
+) -> None:
+    """Run every reading, tell the class of each claim, write the page and each reading's own report."""
+    from testbed.readings import run_readings, slug
+    from testbed.report import render
+    from testbed.report.readings import write_page
+
+    base = load(None)
+    folder = out or Path("results") / f"{base.name}-readings"
+    table = run_readings(load, folder, runs, announce=tell_user, **options)
+    for claim, rows in table.groupby("claim", sort=False):
+        print(f"{claim}: {rows['class'].iloc[0]}")
+    if not report:
+        print(f"tables: {folder}; the report: testbed report {folder}")
+        return
+    for reading in base.readings:
+        render(folder / "readings" / slug(reading.name), svg=False)
+    print(f"report: {write_page(folder)}")
 
 
 def _stored_runs(folder: Path) -> int:

@@ -222,7 +222,7 @@ def fly_drawn(scenario: Scenario, config: DatasetConfig, k: int) -> tuple[Trajec
 
 def _flight_shard(scenario: Scenario, config: DatasetConfig, k: int, path: Path, key: str) -> dict[str, Any]:
     """The entry of flight ``k``, flown and stored at ``path`` unless it is there, whole and of this data set."""
-    from testbed.screen import tell_user
+    from testbed.errors import tell_user
     from testbed.sensors import sense_flight
 
     if path.exists():

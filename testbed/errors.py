@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import sys
 from collections.abc import Iterable
 
 LONGEST_VALUE = 80
@@ -79,3 +80,8 @@ def nearest(name: str, valid: Iterable[str]) -> str:
 def closest(name: str, valid: Iterable[str]) -> str | None:
     """The valid name that was probably meant; None where none is close."""
     return next(iter(difflib.get_close_matches(name[:LONGEST_VALUE], sorted(valid), n=1, cutoff=0.5)), None)
+
+
+def tell_user(text: str) -> None:
+    """A line on stderr, at once."""
+    print(text, file=sys.stderr, flush=True)

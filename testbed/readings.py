@@ -74,25 +74,6 @@ def run_readings(
     return table
 
 
-def command(load: Load, out: Path | None, runs: int | Auto | None, report: bool, **options: Any) -> None:
-    """``testbed run --readings``: run them, tell the class of each claim, write the page and each reading's own report."""
-    from testbed.report import render
-    from testbed.report.readings import write_page
-    from testbed.screen import tell_user
-
-    base = load(None)
-    folder = out or Path("results") / f"{base.name}-readings"
-    table = run_readings(load, folder, runs, announce=tell_user, **options)
-    for claim, rows in table.groupby("claim", sort=False):
-        print(f"{claim}: {rows['class'].iloc[0]}")
-    if report:
-        for reading in base.readings:
-            render(folder / "readings" / slug(reading.name), svg=False)
-        print(f"report: {write_page(folder)}")
-    else:
-        print(f"tables: {folder}; the report: testbed report {folder}")
-
-
 def verdict_table(scenario: Scenario, found: dict[str, pd.DataFrame]) -> pd.DataFrame:
     """`COLUMNS` and ``timed``, claim by claim. ``found`` maps a reading to the ``claims`` of its result."""
     import pandas as pd

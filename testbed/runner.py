@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any
 import testbed
 from testbed import executors, pipeline
 from testbed.checksums import DamagedError
-from testbed.errors import InputError, TestbedError, nearest
+from testbed.errors import InputError, TestbedError, nearest, tell_user
 from testbed.folders import check_own
 from testbed.notes import notes_of
 from testbed.records import Trajectory
 from testbed.scenario import LONGEST_TIMEOUT_S, Scenario
-from testbed.screen import tell_user
 from testbed.store import FORMAT, KIND, Store, StoreError, batch_of, files_digest, open_result
 from testbed.training_flights import TrainingFlights
 from testbed.units import Setup, envelope_times

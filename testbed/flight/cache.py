@@ -12,13 +12,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 from testbed.columns import read_header
-from testbed.errors import InputError
+from testbed.errors import InputError, tell_user
 from testbed.files import StoreError
 from testbed.flight.config import FlightConfig
 from testbed.flight.models import files_of
 from testbed.records import Trajectory
 from testbed.resources import cache_root
-from testbed.screen import tell_user
 
 CODE_VERSION = 3
 """Raise it with every change of this package that changes a flight."""

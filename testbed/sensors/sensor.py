@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
-    from testbed.records import Array, Samples, Trajectory
     from testbed.sensors.config import SensorTable
     from testbed.sensors.draws import Draws
     from testbed.specs import Vector
@@ -25,9 +24,7 @@ class Sense(Protocol):
     ``arm_b`` leads from the reference point of the trajectory to the IMU, from which lever arms count; m, in b.
     """
 
-    def __call__(
-        self, config: Any, trajectory: Trajectory, draws: Draws, arm_b: Vector
-    ) -> tuple[Samples, dict[str, Any]]: ...
+    def __call__(self, config: Any, trajectory: Any, draws: Draws, arm_b: Vector) -> tuple[Any, dict[str, Any]]: ...
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,7 @@ class Sensor:
     title: str
     spec: type
     config: type[SensorTable]
-    samples: type[Samples]
+    samples: type
     sense: Sense
     columns: tuple[Column, ...]
     rows: Mapping[str, tuple[str, float, str]]
@@ -75,11 +72,11 @@ class Sensor:
     catalogue: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     rank: int = 100
     """Of its place in tables; equal ranks stand in the order of the alphabet."""
-    write: Callable[[Any], tuple[dict[str, Array], dict[str, Any]]] | None = None
+    write: Callable[[Any], tuple[dict[str, Any], dict[str, Any]]] | None = None
     """Columns and header of a stored log where they are more than ``columns``; `read` is its inverse."""
-    read: Callable[[Mapping[str, Array], Mapping[str, Any], Any], Any] | None = None
+    read: Callable[[Mapping[str, Any], Mapping[str, Any], Any], Any] | None = None
 
-    def table(self, samples: Any) -> dict[str, Array]:
+    def table(self, samples: Any) -> dict[str, Any]:
         """``time_s`` and the columns of some samples."""
         out = {"time_s": samples.t}
         for column in self.columns:
@@ -89,7 +86,7 @@ class Sensor:
             out |= dict(zip(column.names(), parts, strict=True))
         return out
 
-    def from_table(self, table: Mapping[str, Array], spec: Any) -> Any:
+    def from_table(self, table: Mapping[str, Any], spec: Any) -> Any:
         """`table` backwards."""
         fields: dict[str, Any] = {}
         for column in self.columns:
@@ -99,7 +96,7 @@ class Sensor:
         make: Any = self.samples
         return make(t=table["time_s"], spec=spec, **fields)
 
-    def from_stems(self, parts: Mapping[str, Array], spec: Any) -> Any:
+    def from_stems(self, parts: Mapping[str, Any], spec: Any) -> Any:
         """Samples of recorded columns in the samples' units, by their names without the unit."""
         fields: dict[str, Any] = {}
         for column in self.columns:

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from testbed.csv_text import read_csv
-from testbed.errors import InputError, MissingExtra
+from testbed.errors import InputError, MissingExtra, tell_user
 from testbed.resources import has_package
-from testbed.screen import tell_user
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
