@@ -4,7 +4,7 @@ The measurement unit of "AHRS with LSTM-corrected Kalman gain" (2022); its struc
 for ``ahrsfilter``, here with the full covariance carried along. The loop is `estimators.ahrs_kernels`. SI units, µT.
 
 The filter estimates attitude and gyro bias alone. Position and velocity of its answer stand still at the initial state,
-with a standard deviation that says that they are not estimated (`UNKNOWN_STD`).
+and are not named among its states.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.errors import InputError
-from testbed.records import Innovations, NavSolution, SensorLog
+from testbed.records import ATTITUDE_STATES, Innovations, NavSolution, SensorLog
 
 Array = NDArray[np.float64]
 
 SNAPSHOT_INTERVAL_S = 1.0
-UNKNOWN_STD = (1e7, 1e3)
-"""1 sigma of position (m) and velocity (m/s), which no attitude filter knows."""
+CHANNELS = (*(f"gravity {axis}, m/s²" for axis in "xyz"), *(f"field {axis}, µT" for axis in "xyz"))
+"""Of its innovations."""
 MINIMUM_NOISE = (1e-7, 1e-4, 1e-3)
 """Least 1 sigma of a sample (rad/s, m/s², µT): an ideal sensor would make the covariance singular."""
 
@@ -152,36 +152,26 @@ class AhrsKf:
         snapshots, z, s = kept
         at = t[stride - 1 :: stride]
         still = np.full(n, initial.lat), np.full(n, initial.lon), np.full(n, initial.h), np.tile(initial.v_n, (n, 1))
-        full = np.tile(np.concatenate([np.repeat(UNKNOWN_STD, 3), initial.std[6:]]), (n, 1))
-        full[:, 6:9] = std
         return NavSolution(
             t,
             *still,
             states[:, :4],
-            accel_bias=np.tile(initial.accel_bias, (n, 1)),
             gyro_bias=states[:, 4:7],
-            std=full,
+            std=std,
             covariance_t=at,
-            covariance=_covariance_n(snapshots, states[stride - 1 :: stride], full[stride - 1 :: stride]),
-            innovations=Innovations(at, z, s),
+            covariance=_covariance_n(snapshots, states[stride - 1 :: stride]),
+            innovations={"gravity-mag": Innovations(at, z, s, CHANNELS)},
+            states=ATTITUDE_STATES,
             extras={"linear_accel_mps2": (at, states[stride - 1 :: stride, 7:10])},
         )
 
 
-def _covariance_n(snapshots: Array, states: Array, std: Array) -> Array:
-    """(M,15,15) in the order of `STATE_NAMES` from (M,12,12) in b; what the filter has no state for is diagonal."""
+def _covariance_n(snapshots: Array, states: Array) -> Array:
+    """Attitude covariance (M,3,3) in n from (M,12,12) in b: phi = -C theta, theta the correction of the estimate in b."""
     from testbed.rotations import quats_to_matrices
 
-    out = np.zeros((len(snapshots), 15, 15))
-    diagonal = np.arange(15)
-    out[:, diagonal, diagonal] = std**2
     c_nb = quats_to_matrices(np.ascontiguousarray(states[:, :4]))
-    # phi is the error of the estimate in n, theta its correction in b: phi = -C theta; bias errors change sign too.
-    out[:, 6:9, 6:9] = c_nb @ snapshots[:, :3, :3] @ c_nb.transpose(0, 2, 1)
-    cross = c_nb @ snapshots[:, :3, 3:6]
-    out[:, 6:9, 12:15], out[:, 12:15, 6:9] = cross, cross.transpose(0, 2, 1)
-    out[:, 12:15, 12:15] = snapshots[:, 3:6, 3:6]
-    return out
+    return np.asarray(c_nb @ snapshots[:, :3, :3] @ c_nb.transpose(0, 2, 1))
 
 
 def interval(log: SensorLog) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from estimators.ahrs_kf import Array, interval, prepare
 from testbed.errors import InputError
-from testbed.records import NavSolution, SensorLog
+from testbed.records import ATTITUDE_STATES, NavSolution, SensorLog
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class _Peer:
         q_nb = self._track(gyro, recording.accel, recording.mag[recording.mag_row], log)
         n, initial = len(log.imu.t), log.initial
         still = np.full(n, initial.lat), np.full(n, initial.lon), np.full(n, initial.h), np.tile(initial.v_n, (n, 1))
-        return NavSolution(log.imu.t, *still, q_nb)
+        return NavSolution(log.imu.t, *still, q_nb, states=ATTITUDE_STATES)
 
 
 def _package() -> Any:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from estimators.ins import Ins
 from testbed import earth
 from testbed.errors import InputError
-from testbed.records import GnssFixes, Innovations, NavSolution, SensorLog
+from testbed.records import NAVIGATION_STATES, GnssFixes, Innovations, NavSolution, SensorLog
 from testbed.rotations import quats_to_matrices
 
 Array = NDArray[np.float64]
@@ -159,12 +159,14 @@ def run_filter(settings: OpenLoop, log: SensorLog, ins: FreeIns, fed: Measuremen
     order = [3, 4, 5, 0, 1, 2]
     covariance = covariances[full] * metres[:, :, None] * metres[:, None, :]
     rows = np.arange(every - 1, len(imu.t), every)
+    nu = Innovations(fed.t[full], (innovations[full] * metres)[:, order], covariance[:, order][:, :, order])
     return corrected(
         ins, x, radius,
-        std=np.sqrt(np.hstack([_bench_diagonal(variances, ins.lla[1:, 0]), np.zeros((len(x), 6))])),
+        std=np.sqrt(_bench_diagonal(variances, ins.lla[1:, 0])),
         covariance_t=imu.t[rows],
         covariance=_bench_covariance(snapshots, ins.lla[rows + 1, 0]),
-        innovations=Innovations(fed.t[full], (innovations[full] * metres)[:, order], covariance[:, order][:, :, order]),
+        innovations={"gnss": nu},
+        states=NAVIGATION_STATES,
     )  # fmt: skip
 
 
@@ -216,8 +218,8 @@ def _bench_diagonal(variances: Array, lat: Array) -> Array:
 
 
 def _bench_covariance(covariance: Array, lat: Array) -> Array:
-    """Covariances (K,9,9) to (K,15,15) of the bench: metres NED, attitude phi = -psi; biases, which it lacks, zero."""
-    turn = np.zeros((len(lat), 15, 9))
+    """Covariances (K,9,9) in the kernel's order and units to those of the bench: metres NED, attitude phi = -psi."""
+    turn = np.zeros((len(lat), 9, 9))
     turn[:, 0, 6], turn[:, 1, 7], turn[:, 2, 8] = 1.0, np.cos(lat), -1.0
     for i in range(3):
         turn[:, 3 + i, 3 + i], turn[:, 6 + i, i] = 1.0, -1.0

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from estimators.indirect_kf import MINIMUM_STD, noise_model, require_gnss
+from estimators.aiding.gnss import MINIMUM_STD, require_gnss
+from estimators.blocks.imu import noise_model
 from testbed.errors import InputError
 from testbed.records import NavSolution, SensorLog
 from testbed.rotations import eulers_to_quats, quats_to_eulers

@@ -10,7 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from estimators.indirect_kf import IndirectKf, require_gnss
+from estimators.aiding.gnss import require_gnss
+from estimators.indirect_kf import IndirectKf
 from testbed.errors import InputError
 from testbed.records import NavSolution, SensorLog
 

@@ -15,9 +15,9 @@ import numpy as np
 import pandas as pd
 
 from testbed import claims, statistics
-from testbed.metrics import AXES, NEES_GROUPS, TIME_METRIC
 from testbed.records import Array
 from testbed.scenario import Scenario
+from testbed.scoring.quantities import AXES, IMPROVED, NEES, NIS, TIME_METRIC, is_consistency
 from testbed.store import ColumnStore, Store, StoredRun, decode, writing
 
 if TYPE_CHECKING:
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 FLOAT_FORMAT = "%.10g"
 SETTLED_S = 30.0
 """Consistency is judged after this time, when a filter has settled (or after half of a shorter flight)."""
-HEADLINE = ("rmse_position_2d_m", "rmse_position_3d_m", "rmse_velocity_3d_mps", "rmse_attitude_deg", "rmse_yaw_deg")
-"""Metrics that ``improvements.csv`` compares with the first estimator of the scenario."""
 CSV_TABLES = ("summary", "timings", "claims", "improvements", "consistency")
 
 _BLOCK_BYTES = 8_000_000
@@ -161,7 +159,7 @@ def _take(unit: StoredRun, out: _Pass, values: ColumnStore, series: ColumnStore)
     values.append(row)
     wide = np.full((len(out.series) + len(unit.series), out.points), np.nan, dtype=np.float32)
     for (estimator, name), column in unit.series.items():
-        if name in NEES_GROUPS or name == "nis":
+        if is_consistency(name):
             total = out.tests.setdefault((estimator, name), statistics.ConsistencySum.zero(out.points))
             parts = (column, unit.series[estimator, f"dof_{name}"], unit.series[estimator, f"count_{name}"])
             total.add(*(_fit(part, out.points) for part in parts))
@@ -225,10 +223,10 @@ def _timings(runs: pd.DataFrame, rows: list[str]) -> pd.DataFrame:
 
 
 def _improvements(gathered: _Pass, column: claims.Values, rows: list[str], seed: int) -> pd.DataFrame:
-    """Each estimator against the first one of the scenario: `HEADLINE` metrics in every window that both have."""
+    """Each estimator against the first one of the scenario: `quantities.IMPROVED` in every window that both have."""
     out = []
     for window in dict.fromkeys(window for _, window, _ in gathered.cells):
-        for metric in HEADLINE:
+        for metric in IMPROVED:
             baseline = column(rows[0], window, metric)
             for row in rows[1:]:
                 own = column(row, window, metric)
@@ -247,9 +245,9 @@ def _consistency(gathered: _Pass, rows: list[str], times: Array) -> pd.DataFrame
     settled = min(SETTLED_S, 0.5 * float(times[-1])) if len(times) else 0.0
     out: list[dict[str, Any]] = []
     for row in rows:
-        for name in (*NEES_GROUPS, "nis"):
-            if (total := gathered.tests.get((row, name))) is not None:
-                out.append({"estimator": row, "quantity": name} | total.summary(times, settled))
+        names = [name for estimator, name in gathered.tests if estimator == row]
+        for name in sorted(names, key=lambda name: [*NEES, NIS, name].index(name)):
+            out.append({"estimator": row, "quantity": name} | gathered.tests[row, name].summary(times, settled))
     columns = "estimator quantity dof n_runs mean lower upper share_inside".split()
     return pd.DataFrame(out, columns=columns)
 

@@ -100,13 +100,14 @@ def _announce_compilation() -> None:
 
 
 def _sweep(load: Callable[[Mapping[str, Any]], Scenario], grid: list[str], folder: Path, **options: Any) -> None:
-    from testbed.sweep import parse_sweep
+    from testbed.scoring.quantities import metric_label, unit
+    from testbed.sweep import PLOT_METRIC, parse_sweep
     from testbed.sweep import sweep as run_grid
 
     table = run_grid(load, dict(parse_sweep(text) for text in grid), folder, announce=tell_user, **options)
     keys = list(table.columns[: len(grid)])
-    rows = table[(table["window"] == "all") & (table["metric"] == "rmse_position_3d_m")]
-    print("3-D position RMSE, m, mean over the runs, whole flight")
+    rows = table[(table["window"] == "all") & (table["metric"] == PLOT_METRIC)]
+    print(f"{metric_label(PLOT_METRIC)}, {unit(PLOT_METRIC)}, mean over the runs, whole flight")
     print(rows.pivot(index=keys, columns="estimator", values="mean").to_string(float_format=lambda v: f"{v:.4g}"))
     print(f"sweep: {folder / 'sweep.csv'} and {folder / 'sweep.png'}")
 
@@ -354,10 +355,10 @@ def show(what: str) -> None:
         for name, (about, keys) in manoeuvre_keys().items():
             print(f"{name:13s} {about}\n{'':13s} {keys}")
     elif what == "metrics":
-        from testbed.metrics import NEES_GROUPS, QUANTITIES, STATISTICS, TIME_METRIC
+        from testbed.scoring.quantities import NEES, NIS, QUANTITIES, STATISTICS, TIME_METRIC
 
         print(f"STATISTIC_QUANTITY, for example rmse_north_m\nstatistics: {', '.join(STATISTICS)}")
         print(f"quantities: {', '.join(QUANTITIES)}\nagainst the fixes: rmse_gnss_north_m, mean_gnss_north_m, ...")
-        print(f"consistency: {', '.join(NEES_GROUPS)}, nis\ntime: {TIME_METRIC}")
+        print(f"consistency: {', '.join(NEES)}, {NIS}\ntime: {TIME_METRIC}")
     else:
         raise InputError(f"cannot list '{what}'; {nearest(what, LISTS)}")

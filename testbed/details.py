@@ -9,15 +9,16 @@ from __future__ import annotations
 import io
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from testbed import rotations, specs
-from testbed.metrics import AXES, ErrorSeries
-from testbed.records import GNSS_CHANNELS, Array, NavSolution, SensorLog, Trajectory
+from testbed.metrics import ErrorSeries
+from testbed.records import ATTITUDE_STATES, NAVIGATION_STATES, Array, Innovations, NavSolution, SensorLog, Trajectory
 from testbed.scenario import EstimatorConfig, Scenario
+from testbed.scoring.quantities import AXES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,14 +32,14 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
     """File name -> content: ``truth.parquet``, ``errors-<slug>.parquet``, ``innovations-``, ``extras-``, ``info.json``."""
     files = {"truth.parquet": _parquet(_thin(trajectory.to_frame()))}
     slugs = _slugs([entry.row for entry in scenario.estimators])
-    channels: dict[str, list[str]] = {}
+    channels: dict[str, dict[str, list[str]]] = {}
     components: dict[str, dict[str, list[str]]] = {}
     for entry, solution, series in solved:
         slug = slugs[entry.row]
         files[f"errors-{slug}.parquet"] = _parquet(_thin(_errors_frame(solution, series)))
-        if solution.innovations is not None and len(solution.innovations.t):
-            files[f"innovations-{slug}.parquet"] = _parquet(_thin(_innovations_frame(solution)))
-            channels[entry.row] = list(solution.innovations.names or GNSS_CHANNELS)
+        if told := {aiding: nu for aiding, nu in solution.innovations.items() if len(nu.t)}:
+            files[f"innovations-{slug}.parquet"] = _parquet(_innovations_frame(told))
+            channels[entry.row] = {aiding: list(nu.channels) for aiding, nu in told.items()}
         if solution.extras:
             files[f"extras-{slug}.parquet"] = _parquet(_extras_frame(solution))
             components[entry.row] = {name: list(columns) for name, columns in solution.extra_names.items()}
@@ -65,22 +66,25 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
     return files
 
 
-def axis_sigmas(solution: NavSolution, rows: Any = slice(None)) -> Array | None:
-    """(N,9) the filter's own 1-sigma in the order of `metrics.AXES`, at all times or some rows; None where it gives none.
+def axis_sigmas(solution: NavSolution, rows: Any = slice(None)) -> dict[str, Array]:
+    """The filter's own 1-sigma of each of `AXES` that it has states for, at all times or some rows (N,).
 
     Euler-angle sigmas come from the rotation-vector sigmas through the inverse of `rotations.euler_error_matrix`, without
     the correlations, which ``std`` does not carry.
     """
     if solution.std is None:
-        return None
-    std = solution.std[rows]
+        return {}
+    std = {name: solution.std[rows, k] for k, name in enumerate(solution.states) if name in NAVIGATION_STATES}
+    found = {axis: std[state] for axis, state in zip(AXES[:6], NAVIGATION_STATES[:6], strict=True) if state in std}
+    if not set(ATTITUDE_STATES) <= set(std):
+        return found
     _, pitch, yaw = rotations.quats_to_eulers(solution.q_nb[rows]).T
     cos_p, tan_p, sin_y, cos_y = np.cos(pitch), np.tan(pitch), np.sin(yaw), np.cos(yaw)
-    north, east, down = (std[:, 6:9] ** 2).T
+    north, east, down = (std[name] ** 2 for name in ATTITUDE_STATES)
     roll = (cos_y**2 * north + sin_y**2 * east) / cos_p**2
     level = sin_y**2 * north + cos_y**2 * east
     heading = down + tan_p**2 * (cos_y**2 * north + sin_y**2 * east)
-    return np.column_stack([std[:, :6], np.degrees(np.sqrt(np.column_stack([roll, level, heading])))])
+    return found | {axis: np.degrees(np.sqrt(v)) for axis, v in zip(AXES[6:], (roll, level, heading), strict=True)}
 
 
 def _slugs(rows: Sequence[str]) -> dict[str, str]:
@@ -99,10 +103,10 @@ def _errors_frame(solution: NavSolution, series: ErrorSeries) -> pd.DataFrame:
     import pandas as pd
 
     columns: dict[str, Array] = {"time_s": series.t}
-    columns |= {name: series.values[:, i] for i, name in enumerate(AXES)}
+    scored, nothing = series.axes(), np.full(len(series.t), np.nan)
+    columns |= {name: series.values[:, i] if i in scored else nothing for i, name in enumerate(AXES)}
     rows = np.searchsorted(solution.t, series.t - 1e-9)
-    if (sigma := axis_sigmas(solution)) is not None:
-        columns |= {f"sigma_{name}": sigma[rows, i] for i, name in enumerate(AXES)}
+    columns |= {f"sigma_{name}": sigma[rows] for name, sigma in axis_sigmas(solution).items()}
     columns |= {
         "lat_deg": np.degrees(solution.lat[rows]),
         "lon_deg": np.degrees(solution.lon[rows]),
@@ -111,16 +115,19 @@ def _errors_frame(solution: NavSolution, series: ErrorSeries) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _innovations_frame(solution: NavSolution) -> pd.DataFrame:
+def _innovations_frame(told: Mapping[str, Innovations]) -> pd.DataFrame:
+    """One aiding after the other, each thinned; the channels of the largest one make the columns."""
     import pandas as pd
 
-    nu = solution.innovations
-    assert nu is not None
-    spread = np.sqrt(np.einsum("kii->ki", nu.covariance))
-    columns = {"time_s": nu.t}
-    columns |= {f"nu_{i}": nu.value[:, i] for i in range(nu.value.shape[1])}
-    columns |= {f"s_{i}": spread[:, i] for i in range(spread.shape[1])}
-    return pd.DataFrame(columns)
+    parts = []
+    for aiding, nu in told.items():
+        spread = np.sqrt(np.einsum("kii->ki", nu.covariance))
+        rejected = np.zeros(len(nu.t), dtype=bool) if nu.rejected is None else nu.rejected
+        columns: dict[str, Any] = {"aiding": aiding, "time_s": nu.t, "rejected": rejected}
+        columns |= {f"nu_{i}": nu.value[:, i] for i in range(nu.value.shape[1])}
+        columns |= {f"s_{i}": spread[:, i] for i in range(spread.shape[1])}
+        parts.append(_thin(pd.DataFrame(columns)))
+    return pd.concat(parts, ignore_index=True)
 
 
 def _extras_frame(solution: NavSolution) -> pd.DataFrame:

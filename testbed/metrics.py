@@ -10,8 +10,8 @@ Metric names are a statistic and a quantity. With e the error over the samples o
 - ``final_`` absolute error at the end of the window (root mean square over the ends of a window of several intervals)
 - ``mean_``  mean of e, signed for an axis, of the magnitude for ``position_2d_m`` and the like
 
-of `QUANTITIES`. ``nees_position``, ``nees_velocity``, ``nees_attitude`` (3 degrees of freedom), ``nees_bias`` (6) and
-``nis`` are averages over time. ``rmse_gnss_`` and ``mean_gnss_`` compare with the GNSS fixes instead of truth, as papers
+of `quantities.QUANTITIES`. ``nees_position``, ``nees_velocity``, ``nees_attitude``, ``nees_bias`` (degrees of freedom: the
+states of that name that the estimator has) and ``nis`` are averages over time. ``rmse_gnss_`` and ``mean_gnss_`` compare with the GNSS fixes instead of truth, as papers
 do that have no reference: at the time that each fix describes, at the antenna.
 """
 
@@ -26,63 +26,58 @@ from numba import njit
 from numpy.typing import NDArray
 
 from testbed import earth, rotations
-from testbed.records import Array, GnssFixes, NavSolution, SensorErrors, Trajectory
+from testbed.records import (
+    ACCEL_BIAS_STATES,
+    GYRO_BIAS_STATES,
+    NAVIGATION_STATES,
+    Array,
+    GnssFixes,
+    Innovations,
+    NavSolution,
+    SensorErrors,
+    Trajectory,
+)
+from testbed.scoring.quantities import (
+    AGAINST_FIXES,
+    AXES,
+    FIX_STATISTICS,
+    NEES,
+    NIS,
+    QUANTITIES,
+    STATISTICS,
+    Quantity,
+    scored_quantities,
+)
 from testbed.windows import Window
 
 if TYPE_CHECKING:
     import pandas as pd
 
-AXES = (
-    *("north_m", "east_m", "down_m"),
-    *("v_north_mps", "v_east_mps", "v_down_mps"),
-    *("roll_deg", "pitch_deg", "yaw_deg"),
-)
-"""Columns of `ErrorSeries.values`."""
-QUANTITIES = (
-    *("north_m", "east_m", "down_m", "position_2d_m", "position_3d_m"),
-    *("v_north_mps", "v_east_mps", "v_down_mps", "velocity_3d_mps"),
-    *("roll_deg", "pitch_deg", "yaw_deg", "attitude_deg"),
-)
-STATISTICS = ("rmse", "max", "final", "mean")
-NEES_GROUPS = {
-    "nees_position": slice(0, 3),
-    "nees_velocity": slice(3, 6),
-    "nees_attitude": slice(6, 9),
-    "nees_bias": slice(9, 15),
-}
-"""Metric names and the error states (order of `records.STATE_NAMES`) that each one tests."""
-TIME_METRIC = "us_per_sample"
-"""Computation time of an estimator per IMU sample."""
-
 UNCOVERED = 0.01
 """Share of a flight that a solution may leave out at either end, or between two samples."""
 _TIME_TOLERANCE = 1e-9
-_GNSS_QUANTITIES = QUANTITIES[:9]
-
-
-def metric_names() -> list[str]:
-    """Every metric that a table may hold."""
-    plain = [f"{s}_{q}" for s in STATISTICS for q in QUANTITIES]
-    return [
-        *plain,
-        *NEES_GROUPS,
-        "nis",
-        *(f"{s}_gnss_{q}" for s in ("rmse", "mean") for q in _GNSS_QUANTITIES),
-        "diverged",
-    ]
 
 
 @dataclass(frozen=True)
 class ErrorSeries:
-    """Errors of a solution at its own times ``t`` (N,): ``values`` (N,9) as `AXES`, ``phi`` (N,3) rotation vector, rad."""
+    """Errors of a solution at its own times ``t`` (N,): ``values`` (N,9) as `AXES`, ``phi`` (N,3) rotation vector, rad.
+
+    ``scored`` are the quantities that the estimator answers for.
+    """
 
     t: Array
     values: Array
     phi: Array
+    scored: tuple[Quantity, ...] = tuple(QUANTITIES.values())
+
+    def axes(self) -> list[int]:
+        """The columns of ``values`` that are scored."""
+        names = {q.name for q in self.scored}
+        return [k for k, name in enumerate(AXES) if name in names]
 
     def quantities(self) -> Array:
-        """(N,13): the errors and their magnitudes in the order of `QUANTITIES`."""
-        return np.column_stack([_with_magnitudes(self.values[:, :6]), self.values[:, 6:], _norm(np.degrees(self.phi))])
+        """(N,len(scored)): one column for each."""
+        return np.column_stack([q.of(self.values, self.phi) for q in self.scored])
 
 
 @dataclass(frozen=True)
@@ -103,7 +98,7 @@ def error_series(trajectory: Trajectory, solution: NavSolution) -> ErrorSeries:
     q_est = solution.q_nb[inside]
     euler = rotations.wrap(rotations.quats_to_eulers(q_est) - rotations.quats_to_eulers(q_nb))
     values = np.column_stack([*ned, solution.v_n[inside] - v_n, np.degrees(euler)])
-    return ErrorSeries(t, values, rotations.attitude_errors(q_est, q_nb))
+    return ErrorSeries(t, values, rotations.attitude_errors(q_est, q_nb), scored_quantities(solution.states))
 
 
 def truth_at(trajectory: Trajectory, t: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -148,7 +143,9 @@ def score_rows(
         spans = np.array([(a, b) for a, b in _spans(series.t, window) if b > a], dtype=np.int64)
         if len(spans):
             for statistic, row in zip(STATISTICS, _described(quantities, spans), strict=True):
-                rows += [(window.name, f"{statistic}_{q}", float(v)) for q, v in zip(QUANTITIES, row, strict=True)]
+                rows += [
+                    (window.name, f"{statistic}_{q.name}", float(v)) for q, v in zip(series.scored, row, strict=True)
+                ]
         for name, test in tests.items():
             inside = np.concatenate([test.value[a:b] for a, b in _spans(test.t, window)])
             if len(inside):
@@ -184,32 +181,57 @@ def _described(values, spans):
 def consistency(
     series: ErrorSeries, solution: NavSolution, errors: SensorErrors | None = None
 ) -> dict[str, Consistency]:
-    """NEES of each state group at the covariance snapshots, and NIS of each innovation, as far as the solution tells."""
+    """NEES of each group of states at the covariance snapshots, and NIS of the innovations, as far as the solution tells.
+
+    A group is tested on the states of it that the solution names and whose truth is known.
+    """
     out: dict[str, Consistency] = {}
-    if (
-        solution.covariance is not None
-        and solution.covariance_t is not None
-        and len(solution.covariance_t)
-        and len(series.t)
-    ):
+    if solution.covariance is not None and solution.covariance_t is not None and len(series.t):
         keep = (solution.covariance_t >= series.t[0]) & (solution.covariance_t <= series.t[-1])
         t, covariance = solution.covariance_t[keep], solution.covariance[keep]
-        k = nearest_rows(series.t, t)
-        error = np.column_stack([series.values[k, :6], series.phi[k]])
-        groups = ["nees_position", "nees_velocity", "nees_attitude"]
-        if errors is not None and solution.accel_bias is not None and solution.gyro_bias is not None:
-            error = np.column_stack([error, _bias_errors(solution, errors, t)])
-            groups.append("nees_bias")
-        for name in groups:
-            states = NEES_GROUPS[name]
-            value = _quadratic(error[:, states], covariance[:, states, states])
-            out[name] = Consistency(t, value, np.full(len(t), float(states.stop - states.start)))
-    if (nu := solution.innovations) is not None and len(nu.t):
-        used = np.isfinite(nu.value)
-        value = _quadratic(np.where(used, nu.value, 0.0), _only(nu.covariance, used))
-        some = used.any(axis=1)
-        out["nis"] = Consistency(nu.t[some], value[some], used.sum(axis=1).astype(float)[some])
-    return out
+        known = _state_errors(series, solution, errors, t) if len(t) else {}
+        for name, test in NEES.items():
+            rows = [k for k, s in enumerate(solution.states) if s in known and s.startswith(test.prefixes)]
+            if rows:
+                error = np.column_stack([known[solution.states[k]] for k in rows])
+                block = covariance[:, np.array(rows)[:, None], rows]
+                out[name] = Consistency(t, _quadratic(error, block), np.full(len(t), float(len(rows))))
+    return out | _innovation_tests(solution)
+
+
+def _state_errors(
+    series: ErrorSeries, solution: NavSolution, errors: SensorErrors | None, t: Array
+) -> dict[str, Array]:
+    """Errors (K,) of the states whose truth is known, at times ``t`` (K,)."""
+    k = nearest_rows(series.t, t)
+    found = dict(zip(NAVIGATION_STATES, np.column_stack([series.values[k, :6], series.phi[k]]).T, strict=True))
+    if errors is None:
+        return found
+    own, true = nearest_rows(solution.t, t), nearest_rows(errors.t, t)
+    if solution.accel_bias is not None:
+        found |= zip(ACCEL_BIAS_STATES, (solution.accel_bias[own] - errors.accel_bias[true]).T, strict=True)
+    if solution.gyro_bias is not None:
+        found |= zip(GYRO_BIAS_STATES, (solution.gyro_bias[own] - errors.gyro_bias[true]).T, strict=True)
+    return found
+
+
+def _innovation_tests(solution: NavSolution) -> dict[str, Consistency]:
+    """``nis`` of all updates that were taken, in time order; also ``nis_AIDING`` where there are several aidings."""
+    parts = {name: _nis(nu.taken()) for name, nu in solution.innovations.items()}
+    parts = {name: part for name, part in parts.items() if len(part.t)}
+    if len(parts) < 2:
+        return dict(zip([NIS], parts.values(), strict=False))
+    joined = [np.concatenate([getattr(part, key) for part in parts.values()]) for key in ("t", "value", "dof")]
+    order = np.argsort(joined[0], kind="stable")
+    return {NIS: Consistency(*(column[order] for column in joined))} | {f"{NIS}_{n}": part for n, part in parts.items()}
+
+
+def _nis(nu: Innovations) -> Consistency:
+    """nu' S^-1 nu of each update; a channel that is NaN had no measurement and does not count."""
+    used = np.isfinite(nu.value)
+    value = _quadratic(np.where(used, nu.value, 0.0), _only(nu.covariance, used))
+    some = used.any(axis=1)
+    return Consistency(nu.t[some], value[some], used.sum(axis=1).astype(float)[some])
 
 
 def gnss_rows(solution: NavSolution, gnss: GnssFixes, windows: Sequence[Window]) -> list[tuple[str, str, float]]:
@@ -226,16 +248,19 @@ def gnss_rows(solution: NavSolution, gnss: GnssFixes, windows: Sequence[Window])
     if any(gnss.spec.lever_arm_b):
         matrices = rotations.quats_to_matrices(solution.q_nb[nearest_rows(solution.t, t)])
         ned = ned + matrices @ np.array(gnss.spec.lever_arm_b)
-    values = _with_magnitudes(np.column_stack([ned, np.column_stack(v) - gnss.v_n[inside]]))
+    error = np.column_stack([ned, np.column_stack(v) - gnss.v_n[inside]])
+    compared = [q for q in scored_quantities(solution.states) if q.name in AGAINST_FIXES]
+    if not compared:
+        return []
+    values = np.column_stack([q.of(error, error) for q in compared])
     rows: list[tuple[str, str, float]] = []
     for window in windows:
         part = np.concatenate([values[a:b] for a, b in _spans(t, window)])
         if len(part):
-            rows += [
-                (window.name, f"rmse_gnss_{q}", float(x)) for q, x in zip(_GNSS_QUANTITIES, _rms(part), strict=True)
-            ]
-            mean = part.mean(axis=0)
-            rows += [(window.name, f"mean_gnss_{q}", float(x)) for q, x in zip(_GNSS_QUANTITIES, mean, strict=True)]
+            for statistic, row in zip(FIX_STATISTICS, (_rms(part), part.mean(axis=0)), strict=True):
+                rows += [
+                    (window.name, f"{statistic}_gnss_{q.name}", float(x)) for q, x in zip(compared, row, strict=True)
+                ]
     return rows
 
 
@@ -243,10 +268,11 @@ def divergence(series: ErrorSeries, limit_m: float) -> str:
     """Why a solution counts as diverged, or an empty string: a value that is not finite, or position off by ``limit_m``."""
     if len(series.t) == 0:
         return "no sample within the flight"
-    finite = np.isfinite(series.values).all(axis=1)
+    axes = series.axes()
+    finite = np.isfinite(series.values[:, axes]).all(axis=1)
     if not finite.all():
         return f"not finite from {series.t[np.argmin(finite)]:.6g} s"
-    far = _norm(series.values[:, :3]) > limit_m
+    far = np.linalg.norm(series.values[:, [k for k in axes if k < 3]], axis=1) > limit_m
     if far.any():
         return f"position off by more than {limit_m:g} m from {series.t[np.argmax(far)]:.6g} s"
     return ""
@@ -276,27 +302,12 @@ def nearest_rows(grid: Array, t: Array) -> NDArray[np.intp]:
     return k - (t - grid[k - 1] < grid[k] - t)
 
 
-def _bias_errors(solution: NavSolution, errors: SensorErrors, t: Array) -> Array:
-    k, m = nearest_rows(solution.t, t), nearest_rows(errors.t, t)
-    assert solution.accel_bias is not None and solution.gyro_bias is not None
-    return np.column_stack([solution.accel_bias[k] - errors.accel_bias[m], solution.gyro_bias[k] - errors.gyro_bias[m]])
-
-
 def _spans(t: Array, window: Window) -> list[tuple[int, int]]:
     """Row ranges of the times in each interval (start, end]."""
     return [
         (int(np.searchsorted(t, a + _TIME_TOLERANCE, "right")), int(np.searchsorted(t, b + _TIME_TOLERANCE, "right")))
         for a, b in window.intervals
     ]
-
-
-def _with_magnitudes(pv: Array) -> Array:
-    """(N,6) position and velocity errors to the first nine of `QUANTITIES`."""
-    return np.column_stack([pv[:, :3], _norm(pv[:, :2]), _norm(pv[:, :3]), pv[:, 3:6], _norm(pv[:, 3:6])])
-
-
-def _norm(values: Array) -> Array:
-    return np.sqrt(np.einsum("ij,ij->i", values, values))
 
 
 def _rms(values: Array) -> Array:

@@ -81,7 +81,7 @@ def _check_kinds(name: str, kind: type, params: Mapping[str, Any]) -> None:
     """Refuse text for a number and the like, where the default of a parameter tells what it is; a list may stand for a number."""
     for key, parameter in inspect.signature(kind).parameters.items():
         usual, given = parameter.default, params.get(key)
-        if given is None or not isinstance(usual, bool | int | float | str):
+        if given is None or not isinstance(usual, bool | int | float | str) or parameter.annotation in (Any, "Any"):
             continue
         number = not isinstance(usual, bool | str)
         if isinstance(given, str | bool) if number else not isinstance(given, type(usual)):

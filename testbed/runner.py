@@ -189,7 +189,7 @@ def prepare(setup: Setup) -> Trajectory:
 
 def check_claims(scenario: Scenario, windows: Sequence[str]) -> None:
     """Raise InputError for a claim on a metric or window that does not exist."""
-    from testbed.metrics import TIME_METRIC, metric_names
+    from testbed.scoring.quantities import TIME_METRIC, metric_names
 
     metrics = [*metric_names(), TIME_METRIC]
     for claim in scenario.active_claims():

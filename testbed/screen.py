@@ -7,20 +7,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from testbed.scoring.quantities import COMPARED, short_label, unit
+
 if TYPE_CHECKING:
     import pandas as pd
 
     from testbed.scenario import Scenario
 
+LEFT_OUT = ("rmse_attitude_deg",)
+"""Compared in reports, not on a narrow screen."""
 TABLE_METRICS = {
-    "rmse_north_m": "north m",
-    "rmse_east_m": "east m",
-    "rmse_down_m": "down m",
-    "rmse_position_3d_m": "3-D m",
-    "rmse_velocity_3d_mps": "vel m/s",
-    "rmse_roll_deg": "roll °",
-    "rmse_pitch_deg": "pitch °",
-    "rmse_yaw_deg": "yaw °",
+    metric: f"{short_label(metric)} {unit(metric)}"
+    for metric in COMPARED
+    if metric.startswith("rmse_") and metric not in LEFT_OUT
 }
 
 

@@ -14,14 +14,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from testbed.errors import InputError
+from testbed.report.labels import window_label
 from testbed.runner import plan, prepare, run
 from testbed.scenario import Scenario
+from testbed.scoring.quantities import MAIN, metric_label, unit
 from testbed.store import read_manifest
 
 if TYPE_CHECKING:
     import pandas as pd
 
-PLOT_METRIC = "rmse_position_3d_m"
+PLOT_METRIC = f"rmse_{MAIN[0]}"
 
 
 def parse_sweep(text: str) -> tuple[str, list[Any]]:
@@ -111,8 +113,8 @@ def plot(table: pd.DataFrame, keys: Sequence[str], path: Path, metric: str = PLO
         axis.set_xlabel(first)
         axis.set_title(", ".join(f"{k} = {v}" for k, v in zip(others, values, strict=False)), fontsize=9)
         axis.grid(alpha=0.3)
-    where = "whole flight" if window == "all" else window
-    axes[0].set_ylabel(f"{metric}, {where}\n(mean and 95 % interval)", fontsize=9)
+    what = ", ".join(filter(None, (metric_label(metric), unit(metric), window_label(window))))
+    axes[0].set_ylabel(f"{what}\n(mean and 95 % interval)", fontsize=9)
     if len(rows):
         axes[0].legend(fontsize=8)
     figure.savefig(path, dpi=150)

@@ -24,6 +24,7 @@ from testbed.limits import TimeLimitError, time_limit
 from testbed.records import Array, NavSolution, SensorErrors, SensorLog, Trajectory
 from testbed.registry import load_plugin, make_estimator
 from testbed.scenario import EstimatorConfig, Scenario
+from testbed.scoring.quantities import AXES
 from testbed.windows import Window
 
 ENVELOPE_POINTS = 600
@@ -246,12 +247,10 @@ def time_series(
     def sampled(column: Array) -> Array:
         return np.where(covered, column[k], np.nan).astype(np.float32)
 
-    for i, name in enumerate(metrics.AXES):
-        out[name] = sampled(series.values[:, i])
-    sigma = details.axis_sigmas(solution, metrics.nearest_rows(solution.t, grid))
-    if sigma is not None:
-        for i, name in enumerate(metrics.AXES):
-            out[f"sigma_{name}"] = np.where(covered, sigma[:, i], np.nan).astype(np.float32)
+    for i in series.axes():
+        out[AXES[i]] = sampled(series.values[:, i])
+    for name, sigma in details.axis_sigmas(solution, metrics.nearest_rows(solution.t, grid)).items():
+        out[f"sigma_{name}"] = np.where(covered, sigma, np.nan).astype(np.float32)
     if len(grid) < 2:
         return out
     half = 0.5 * (grid[1] - grid[0])

@@ -171,7 +171,7 @@ def test_errors_are_what_the_covariance_says(estimator) -> None:
 
 
 def test_innovations_are_white_with_their_covariance(log: SensorLog) -> None:
-    innovations = DirectEkf().run(log).innovations
+    innovations = DirectEkf().run(log).innovations["gnss"]
     nis = np.einsum("ki,kij,kj->k", innovations.value, np.linalg.inv(innovations.covariance), innovations.value)
     assert abs(nis.mean() - 6.0) < 4.0 * np.sqrt(12.0 / len(nis))
     # The test statistic exceeds its 5 % threshold at 5 % of the fixes: binomial, four sigma.
@@ -196,7 +196,7 @@ def test_fix_between_samples_counts_at_its_own_time() -> None:
     shifted = replace(exact, gnss=replace(exact.gnss, t=t, lat=lla[:, 0], lon=lla[:, 1], h=lla[:, 2], v_n=v_n))
     for estimator in (DirectEkf(), DirectUkf()):
         solution = estimator.run(shifted)
-        assert np.abs(solution.innovations.value[50:, :3]).max() < 0.02
+        assert np.abs(solution.innovations["gnss"].value[50:, :3]).max() < 0.02
         assert np.abs(errors(solution, truth)[1000:, :3]).max() < 0.02
 
 

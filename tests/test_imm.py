@@ -36,7 +36,9 @@ def test_identical_branches_are_the_single_filter(bank: type, single, log: Senso
     np.testing.assert_allclose(together.v_n, alone.v_n, atol=1e-7)
     np.testing.assert_allclose(together.q_nb, alone.q_nb, atol=1e-8)
     np.testing.assert_allclose(together.std, alone.std, rtol=1e-6)
-    np.testing.assert_allclose(together.innovations.covariance, alone.innovations.covariance, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        together.innovations["gnss"].covariance, alone.innovations["gnss"].covariance, rtol=1e-6, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("estimator", [ImmEkf(), ImmRstekf()])

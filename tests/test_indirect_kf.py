@@ -7,10 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from analytic_flight import analytic_flight
+from numba import njit
 from scipy.stats import chi2
 
-from estimators import error_model, kalman, strapdown
-from estimators.indirect_kf import MEMORY, SCALES, IndirectKf, noise_model
+from estimators import strapdown
+from estimators.blocks.imu import MEMORY, noise_model
+from estimators.core.lanes import WIDTH, aligned
+from estimators.core.nav_errors import coefficients, nav_errors
+from estimators.core.propagate import Coupling, add_noise, make_covariance, make_covariances, propagate
+from estimators.core.update import innovation_covariance, update
+from estimators.indirect_kf import SCALES, IndirectKf
 from estimators.ins import Ins
 from estimators.update_ins import UpdateIns, outage_rows
 from testbed import earth
@@ -19,6 +25,7 @@ from testbed.records import GnssFixes, ImuSamples, InitialState, SensorLog
 from testbed.rotations import (
     attitude_error,
     attitude_errors,
+    matrix_rotate,
     quat_multiply,
     quat_to_matrix,
     quats_to_eulers,
@@ -137,6 +144,26 @@ def strapdown_end(state, gyro, accel, dt, steps):
     return now
 
 
+@njit
+def nav_columns(phi, c, m, force, v_n, dt):
+    """Nine rows of Phi (9,15) for three accelerometer and three gyro biases, column by column."""
+    for j in range(15):
+        e = np.zeros(15)
+        e[j] = 1.0
+        r, u, p = (e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8])
+        accel, gyro = matrix_rotate(m, (e[9], e[10], e[11])), matrix_rotate(m, (e[12], e[13], e[14]))
+        after = nav_errors((r, u, p), gyro, accel, (c, force, v_n), dt)
+        for g in range(3):
+            for i in range(3):
+                phi[3 * g + i, j] = after[g][i]
+
+
+def transition_matrix(lat, h, v_n, q_nb, force, keep, dt):
+    phi = np.diag(np.concatenate([np.ones(9), keep]))
+    nav_columns(phi, coefficients(lat, h, v_n), quat_to_matrix(q_nb), force, v_n, dt)
+    return phi
+
+
 def test_transition_matrix_is_the_derivative_of_the_strapdown():
     """Central differences of 100 steps, 0.5 s, at 250 m/s and 60° N, against the product of Phi.
 
@@ -154,7 +181,7 @@ def test_transition_matrix_is_the_derivative_of_the_strapdown():
         *after, force = strapdown.advance(*now, *increments, dt)
         middle = np.array(now[4]) + np.array(after[4])
         middle = tuple(middle / np.linalg.norm(middle))
-        phi = error_model.transition_matrix(now[0], now[2], now[3], middle, force, 1.0, 1.0, dt) @ phi
+        phi = transition_matrix(now[0], now[2], now[3], middle, force, np.ones(6), dt) @ phi
         now = after
     north, east = earth.metres_per_radian(now[0], now[2])
     for j, step in enumerate(np.repeat([50.0, 1.0, 1e-4, 1e-2, 1e-4], 3)):
@@ -168,21 +195,55 @@ def test_transition_matrix_is_the_derivative_of_the_strapdown():
         assert np.abs(numeric - phi[:9, j]).max() < 1e-4 * scale, j
 
 
-def test_structured_propagation_is_phi_p_phi_t_plus_q():
+@njit
+def propagate_once(p, scratch, coupling, motion, dt):
+    lat, h, force, v_n = motion
+    propagate(p, scratch, coupling, (coefficients(lat, h, v_n), force, v_n), dt)
+
+
+@pytest.mark.parametrize("side_by_side", [False, True])
+def test_structured_propagation_is_phi_p_phi_t_plus_q(side_by_side):
+    """Columns of P as lanes, and filters as lanes, against the product of dense matrices."""
     rng = np.random.default_rng(1)
     a = rng.standard_normal((15, 15))
     p = a @ a.T
     q_nb, v_n, force = tuple(rotvec_to_quat((0.3, 0.2, -1.0))), (40.0, -20.0, 3.0), (1.0, -2.0, -9.0)
-    q = rng.uniform(0.0, 1e-3, 12)
-    phi = error_model.transition_matrix(0.7, 500.0, v_n, q_nb, force, 0.99, 0.98, 0.01)
+    keep = np.repeat([0.99, 0.98], 3)
+    phi = transition_matrix(0.7, 500.0, v_n, q_nb, force, keep, 0.01)
+    expected = phi @ p @ phi.T
+    m, zero = np.array(quat_to_matrix(q_nb)), np.zeros((3, 3))
+    accel, gyro = np.vstack([m.T, zero]), np.vstack([zero, m.T])
+    spans = np.array([0, 3, 3, 6])
+    if side_by_side:
+        table, scratch = make_covariances(p)
+        tables = [aligned(18).reshape(6, 3, WIDTH) for _ in range(2)]
+        for t, values in zip(tables, (accel, gyro), strict=True):
+            t[:] = values[..., None]
+        propagate_once(table, scratch, Coupling(spans, *tables, keep), (0.7, 500.0, force, v_n), 0.01)
+        made = [table[..., lane] for lane in range(WIDTH)]
+    else:
+        padded, scratch = make_covariance(p)
+        propagate_once(padded, scratch, Coupling(spans, accel, gyro, keep), (0.7, 500.0, force, v_n), 0.01)
+        made = [padded[:, :15]]
+    for result in made:
+        np.testing.assert_allclose(result, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+        assert (result == result.T).all()
+
+
+def test_process_noise_is_van_loan_to_third_order():
+    """White acceleration noise of density q over dt: q dt of velocity, q dt²/2 between, q dt³/3 of position variance."""
+    m, dt = quat_to_matrix(tuple(rotvec_to_quat((0.3, 0.2, -1.0)))), 0.01
+    white, drive = np.random.default_rng(1).uniform(0.0, 1e-3, 6), np.random.default_rng(2).uniform(0.0, 1e-3, 6)
     noise = np.zeros((15, 15))
-    error_model.add_noise(noise, quat_to_matrix(q_nb), q, 0.01)
-    error_model.symmetrize(noise)
-    expected = phi @ p @ phi.T + noise
-    c = error_model.coefficients(0.7, 500.0, v_n)
-    error_model.propagate(p, np.empty((15, 15)), c, quat_to_matrix(q_nb), force, v_n, 0.99, 0.98, q, 0.01)
-    np.testing.assert_allclose(p, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
-    assert (p == p.T).all()
+    add_noise(noise, m, white, drive, dt)
+    c = np.array(m)
+    accel, gyro = c @ np.diag(white[:3]) @ c.T * dt, c @ np.diag(white[3:]) @ c.T * dt
+    zero = np.zeros((3, 3))
+    expected = np.block(
+        [[accel * dt**2 / 3.0, accel * dt / 2.0, zero], [accel * dt / 2.0, accel, zero], [zero, zero, gyro]]
+    )
+    np.testing.assert_allclose(noise[:9, :9], expected, rtol=1e-12, atol=1e-30)
+    np.testing.assert_allclose(np.diag(noise)[9:], drive * dt)
     assert np.linalg.eigvalsh(noise).min() > -1e-18
 
 
@@ -190,15 +251,19 @@ def test_sequential_joseph_update_is_the_textbook_update():
     rng = np.random.default_rng(2)
     a = rng.standard_normal((15, 15))
     p, h, r = a @ a.T, rng.standard_normal((6, 15)), rng.uniform(0.1, 2.0, 6)
-    residual, x, s = rng.standard_normal(6), np.zeros(15), np.empty((6, 6))
+    h[:, rng.random(15) < 0.5] = 0.0
+    residual, x, s, scalars = rng.standard_normal(6), np.zeros(15), np.empty((6, 6)), np.empty((6, 2))
     expected_s = h @ p @ h.T + np.diag(r)
     gain = p @ h.T @ np.linalg.inv(expected_s)
     expected_p = (np.eye(15) - gain @ h) @ p
-    kalman.update(x, p, residual, h, r, s, np.empty((4, 15)))
+    innovation_covariance(p, h, r, s, np.empty((4, 15)))
+    update(x, p, residual, h, r, scalars, np.empty((4, 15)))
     np.testing.assert_allclose(s, expected_s, rtol=1e-12)
     np.testing.assert_allclose(x, gain @ residual, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(p, expected_p, rtol=1e-9, atol=1e-9)
     assert (p == p.T).all()
+    deviance = np.linalg.slogdet(expected_s)[1] + residual @ np.linalg.solve(expected_s, residual)
+    assert np.sum(np.log(scalars[:, 1]) + scalars[:, 0] ** 2 / scalars[:, 1]) == pytest.approx(deviance)
 
 
 def test_perfect_sensors_leave_the_truth_alone():
@@ -208,7 +273,7 @@ def test_perfect_sensors_leave_the_truth_alone():
     """
     log, *_ = draw_log(0, errors=0.0)
     solution, truth = IndirectKf().run(log), flight()
-    innovation = np.abs(solution.innovations.value).max(axis=0)
+    innovation = np.abs(solution.innovations["gnss"].value).max(axis=0)
     assert innovation[:3].max() < 5e-3
     assert innovation[3:].max() < 5e-3
     assert np.abs(attitude_errors(solution.q_nb, truth.q_nb[1:])).max() < 1e-4
@@ -230,7 +295,7 @@ def test_consistency_over_runs():
         for g, part in enumerate(groups):
             e, p = error[:, part], solution.covariance[:, part, part]
             nees[g] += np.einsum("ki,kij,kj->k", e, np.linalg.inv(p), e)
-        nu = solution.innovations
+        nu = solution.innovations["gnss"]
         nis = nis + np.einsum("ki,kij,kj->k", nu.value, np.linalg.inv(nu.covariance), nu.value)
     shares = []
     for total, dof in [(nees[0], 3), (nees[1], 3), (nees[2], 3), (nees[3], 6), (nis, 6)]:

@@ -194,7 +194,7 @@ def test_pseudo_measurements_count_in_the_covariance(log):
     """A filter that is fed believes to know its position as with fixes, whatever the networks are worth."""
     row = np.searchsorted(log.imu.t, 109.9)
     assert Kfann(inputs="nn1").run(log).std[row, 0] < 0.5 * Lkf9().run(log).std[row, 0]
-    assert len(Kfann(inputs="nn1").run(log).innovations.t) == len(log.gnss.t)
+    assert len(Kfann(inputs="nn1").run(log).innovations["gnss"].t) == len(log.gnss.t)
 
 
 def test_too_few_fixes_leave_the_filter_alone(flight):

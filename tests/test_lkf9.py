@@ -122,8 +122,8 @@ def test_printed_process_noise_is_too_large_by_the_imu_rate(flight):
 def test_innovations_are_white_with_the_filters_covariance(flight):
     """1500 innovations per channel: their normalised variance is 1 within 4√(2/1500), their lag-1 correlation 4/√1500."""
     solution = Lkf9(process_noise="density").run(sensor_log(flight, 3))
-    sigma = np.sqrt(np.einsum("kii->ki", solution.innovations.covariance))
-    normalised = solution.innovations.value / sigma
+    sigma = np.sqrt(np.einsum("kii->ki", solution.innovations["gnss"].covariance))
+    normalised = solution.innovations["gnss"].value / sigma
     assert np.all(np.abs(normalised.var(axis=0) - 1.0) < 4.0 * np.sqrt(2.0 / 1500))
     lagged = np.mean(normalised[1:] * normalised[:-1], axis=0)
     assert np.all(np.abs(lagged) < 4.0 / np.sqrt(1500))

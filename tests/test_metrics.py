@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from testbed import earth, metrics, rotations
-from testbed.records import GnssFixes, Innovations, NavSolution, SensorErrors, Trajectory
+from testbed.records import STATE_NAMES, GnssFixes, Innovations, NavSolution, SensorErrors, Trajectory
+from testbed.scoring import quantities
 from testbed.windows import Window
 
 ALL = [Window("all", ((-1.0, 100.0),))]
@@ -82,11 +83,11 @@ def test_every_name_of_the_list_is_in_the_table(truth):
     std = np.ones((1000, 15))
     snapshots = {"covariance_t": truth.t[1:], "covariance": np.tile(np.eye(15), (1000, 1, 1))}
     biases = {"accel_bias": np.zeros((1000, 3)), "gyro_bias": np.zeros((1000, 3))}
-    solution = displaced(truth, **snapshots, **biases, std=std, innovations=innovations)
+    solution = displaced(truth, **snapshots, **biases, std=std, innovations=innovations, states=STATE_NAMES)
     fixes = GnssFixes(truth.t[5::5], truth.lat[5::5], truth.lon[5::5], truth.h[5::5], truth.v_n[5::5])
     errors = SensorErrors(truth.t[1:], np.zeros((1000, 3)), np.zeros((1000, 3)))
     names = {name for _, name in table(truth, solution, ALL, errors, fixes)}
-    assert names == set(metrics.metric_names()) - {"diverged"}
+    assert names == set(quantities.metric_names()) - {"diverged"}
 
 
 def test_windows_score_their_own_samples(truth):
@@ -123,7 +124,12 @@ def test_nees_and_nis_follow_their_definition(truth):
     innovations = Innovations(truth.t[1:], nu, np.tile(np.diag([1.0, 4.0]), (n, 1, 1)))
     biases = {"accel_bias": np.full((n, 3), 2.0), "gyro_bias": np.zeros((n, 3))}
     solution = displaced(
-        truth, (2.0, 3.0, 4.0), covariance_t=truth.t[1:], covariance=covariance, innovations=innovations, **biases
+        *(truth, (2.0, 3.0, 4.0)),
+        covariance_t=truth.t[1:],
+        covariance=covariance,
+        innovations=innovations,
+        **biases,
+        states=STATE_NAMES,
     )
     errors = SensorErrors(truth.t[1:], np.full((n, 3), 1.0), np.zeros((n, 3)))
     found = table(truth, solution, ALL, errors)
@@ -132,6 +138,48 @@ def test_nees_and_nis_follow_their_definition(truth):
     assert found["all", "nis"] == pytest.approx(1.5)
     series = metrics.error_series(truth, solution)
     assert set(metrics.consistency(series, solution)["nis"].dof) == {1.0, 2.0}
+
+
+def test_a_filter_is_scored_on_the_states_that_it_names(truth):
+    """Attitude and gyro bias alone, in an order of its own: 2 degrees about down of sigma 1 degree, 3 sigma of one bias axis."""
+    n = 1000
+    names = ("gyro_bias_z_radps", "mag_bias_x_ut", "attitude_down_rad", "attitude_east_rad", "attitude_north_rad")
+    sigma = np.array([1e-3, 5.0, np.radians(1.0), np.radians(1.0), np.radians(1.0)])
+    solution = displaced(
+        truth,
+        (1e6, 0.0, 0.0),
+        euler_deg=(0.0, 0.0, 2.0),
+        covariance_t=truth.t[1:],
+        covariance=np.tile(np.diag(sigma**2), (n, 1, 1)),
+        std=np.tile(sigma, (n, 1)),
+        gyro_bias=np.tile([0.0, 0.0, 3e-3], (n, 1)),
+        states=names,
+    )
+    errors = SensorErrors(truth.t[1:], np.zeros((n, 3)), np.zeros((n, 3)))
+    fixes = GnssFixes(truth.t[5::5], truth.lat[5::5], truth.lon[5::5], truth.h[5::5], truth.v_n[5::5])
+    found = table(truth, solution, ALL, errors, fixes)
+    quantity = {name.partition("_")[2] for _, name in found if not name.startswith("nees")}
+    assert quantity == {"roll_deg", "pitch_deg", "yaw_deg", "attitude_deg"}
+    assert {name for _, name in found if name.startswith("nees")} == {"nees_attitude", "nees_bias"}
+    assert found["all", "nees_attitude"] == pytest.approx(4.0, rel=1e-4)
+    assert found["all", "nees_bias"] == pytest.approx(9.0, rel=1e-9)
+    series = metrics.error_series(truth, solution)
+    assert set(metrics.consistency(series, solution, errors)["nees_bias"].dof) == {1.0}
+    assert metrics.divergence(series, 10.0) == ""  # 1000 km off, of which it says nothing
+
+
+def test_aidings_are_tested_together_and_apart_without_what_was_rejected(truth):
+    """Two updates of 3 sigma and four of 1 sigma; the fifth, of 10 sigma, was rejected."""
+    baro = Innovations(
+        np.arange(1.0, 6.0),
+        np.array([[2.0], [2.0], [2.0], [2.0], [20.0]]),
+        np.full((5, 1, 1), 4.0),
+        rejected=np.arange(5) == 4,
+    )
+    gnss = Innovations(np.array([2.5, 3.5]), np.full((2, 1), 3.0), np.ones((2, 1, 1)))
+    found = table(truth, displaced(truth, innovations={"baro": baro, "gnss": gnss}), ALL)
+    assert found["all", "nis_baro"] == pytest.approx(1.0) and found["all", "nis_gnss"] == pytest.approx(9.0)
+    assert found["all", "nis"] == pytest.approx((4 * 1.0 + 2 * 9.0) / 6)
 
 
 def test_gnss_metrics_are_taken_at_the_antenna_at_the_time_of_the_fix(truth):

@@ -74,7 +74,7 @@ def assert_same_answer(ours, theirs):
     np.testing.assert_array_equal(ours.h, theirs.h)
     np.testing.assert_array_equal(ours.v_n, theirs.v_n)
     np.testing.assert_array_equal(ours.covariance, theirs.covariance)
-    np.testing.assert_array_equal(ours.innovations.value, theirs.innovations.value)
+    np.testing.assert_array_equal(ours.innovations["gnss"].value, theirs.innovations["gnss"].value)
 
 
 def test_a_second_copy_starts_where_the_first_is_and_leaves_it_alone(log):

@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
+from testbed.columns import exact_columns, write_table
 from testbed.errors import InputError
 from testbed.records import (
+    STATE_NAMES,
     BaroSamples,
     GnssFixes,
     ImuSamples,
     InitialState,
+    Innovations,
     MagSamples,
     NavSolution,
     Phase,
@@ -81,11 +84,59 @@ def test_log_round_trip(log, tmp_path):
 
 def test_solution_round_trip(tmp_path):
     rng = np.random.default_rng(3)
-    solution = NavSolution(**navigation_columns(20, rng), accel_bias=rng.random((20, 3)), std=rng.random((20, 15)))
+    names = ("accel_scale_x", "attitude_north_rad", "baro_bias_m")
+    solution = NavSolution(
+        **navigation_columns(20, rng),
+        accel_bias=rng.random((20, 3)),
+        std=rng.random((20, 3)),
+        states=names,
+        estimates={"baro_bias_m": rng.random(20)},
+    )
     solution.save(tmp_path / "s.parquet")
     loaded = NavSolution.load(tmp_path / "s.parquet")
     assert_same_arrays(solution, loaded)
-    assert loaded.gyro_bias is None
+    assert loaded.gyro_bias is None and loaded.states == names
+    np.testing.assert_array_equal(loaded.estimates["baro_bias_m"], solution.estimates["baro_bias_m"])
+
+
+def test_a_solution_of_version_0_1_is_read(tmp_path):
+    """It has the 15 states in their order and no list of them."""
+    rng = np.random.default_rng(3)
+    solution = NavSolution(**navigation_columns(20, rng), std=rng.random((20, 15)), states=STATE_NAMES)
+    exact = exact_columns(solution.lat, solution.lon, solution.q_nb)
+    write_table(solution.to_frame().assign(**exact), tmp_path / "s.parquet", "NavSolution", {})
+    loaded = NavSolution.load(tmp_path / "s.parquet")
+    assert loaded.states == STATE_NAMES
+    np.testing.assert_array_equal(loaded.std, solution.std)
+
+
+def test_states_must_fit_what_is_said_of_them():
+    columns = navigation_columns(20, np.random.default_rng(4))
+    with pytest.raises(InputError, match="of 3 states; name them"):
+        NavSolution(**columns, std=np.ones((20, 3)))
+    with pytest.raises(InputError, match=r"'std' has shape \(20, 15\), expected \(20, 2\)"):
+        NavSolution(**columns, std=np.ones((20, 15)), states=("a", "b"))
+    with pytest.raises(
+        InputError, match=r"'covariance' has shape \(4, 3, 3\) and 'covariance_t' \(4,\), expected \(K, 2, 2\)"
+    ):
+        NavSolution(**columns, covariance_t=np.arange(4.0), covariance=np.ones((4, 3, 3)), states=("a", "b"))
+    with pytest.raises(InputError, match="'states' names b twice"):
+        NavSolution(**columns, states=("a", "b", "b"))
+    with pytest.raises(InputError, match="estimate 'baro_bias_m' has shape"):
+        NavSolution(**columns, estimates={"baro_bias_m": np.ones(3)})
+    with pytest.raises(InputError, match="'rejected' is float64"):
+        Innovations(np.arange(3.0), np.ones((3, 1)), np.ones((3, 1, 1)), rejected=np.zeros(3))
+    with pytest.raises(InputError, match="'covariance' has shape"):
+        Innovations(np.arange(3.0), np.ones((3, 2)), np.ones((3, 1, 1)))
+
+
+def test_a_solution_without_names_is_told_how_to_give_them():
+    columns = navigation_columns(20, np.random.default_rng(4))
+    with pytest.warns(FutureWarning, match=r"states=testbed.records.STATE_NAMES"):
+        solution = NavSolution(**columns, std=np.ones((20, 15)))
+    assert solution.states == STATE_NAMES
+    alone = Innovations(np.arange(3.0), np.ones((3, 6)), np.ones((3, 6, 6)))
+    assert NavSolution(**columns, innovations=alone).innovations == {"gnss": alone}
 
 
 def test_wrong_shape_is_refused(trajectory):

@@ -16,9 +16,10 @@ from testbed.errors import InputError
 from testbed.report import render, render_index, tables
 from testbed.report.geometry import local
 from testbed.report.headline import headline
-from testbed.report.labels import metric_label, number, percent, verdict_kind, window_label
+from testbed.report.labels import number, percent, verdict_kind, window_label
 from testbed.report.results import load_result
 from testbed.report.sensors import sensor_tables
+from testbed.scoring.quantities import metric_label
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.errors import InputError, nearest
-from testbed.records import SensorLog
-
 Array = NDArray[np.float64]
 Columns = Mapping[str, int]
 """First column in ``h`` of each block that the filter carries."""
@@ -64,13 +61,3 @@ def add_aiding(aiding: Aiding) -> Aiding:
     """Make an aiding known by its name."""
     AIDINGS[aiding.name] = aiding
     return aiding
-
-
-def find_aiding(name: str) -> Aiding:
-    """The aiding of this name. Raises InputError with the nearest name."""
-    from estimators.aiding import baro, gnss
-
-    assert baro and gnss
-    if name not in AIDINGS:
-        raise InputError(f"no aiding is called '{name}'; {nearest(name, AIDINGS)}")
-    return AIDINGS[name]

@@ -64,9 +64,7 @@ def place_of_antenna(state, parameters, z, residual, h, row):
     arm = matrix_rotate(quat_to_matrix(attitude(state)), triple(parameters, 0))
     per_north, per_east = earth.metres_per_radian(lat, height)
     antenna = (lat + arm[0] / per_north, lon + arm[1] / per_east, height - arm[2])
-    place = earth.position_difference(
-        get(z, row), get(z, row + 1), get(z, row + 2), antenna[0], antenna[1], antenna[2]
-    )
+    place = earth.position_difference(get(z, row), get(z, row + 1), get(z, row + 2), antenna[0], antenna[1], antenna[2])
     for i in range(3):
         put(residual, row + i, place[i])
         set_entry(h, row + i, i, 1.0)

@@ -16,7 +16,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.errors import InputError, nearest
 from testbed.records import SensorLog
 
 Array = NDArray[np.float64]
@@ -66,16 +65,6 @@ def add_block(block: Block) -> Block:
     """Make a block known by its name."""
     BLOCKS[block.name] = block
     return block
-
-
-def find_block(name: str) -> Block:
-    """The block of this name. Raises InputError with the nearest name."""
-    from estimators.blocks import imu, sensors
-
-    assert imu and sensors
-    if name not in BLOCKS:
-        raise InputError(f"no block of states is called '{name}'; {nearest(name, BLOCKS)}")
-    return BLOCKS[name]
 
 
 def per_axis(pattern: str, axes: Any = "xyz") -> tuple[str, ...]:

@@ -7,11 +7,12 @@ misalignments off it: Groves, 2nd ed., eq. 4.16 and 4.17. Couplings are of first
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from estimators.blocks import Block, Process, add_block, constant, per_axis
-from estimators.core.lanes import get, put, set_entry
+from estimators.core.lanes import get, set_entry
 from testbed.records import SensorLog
 from testbed.specs import TriadSpec
 
@@ -56,6 +57,32 @@ def white_density(spec: TriadSpec, dt: float) -> float:
     A data sheet's random walk holds at the output, rounding to one bit included, unless the bit is coarser than the noise.
     """
     return max(spec.white_noise**2, spec.resolution**2 / 12.0 * dt)
+
+
+class NoiseModel(NamedTuple):
+    """What a log's specifications imply for a filter with three accelerometer and three gyro biases."""
+
+    q: np.ndarray
+    """(12,) spectral densities of accelerometer and gyro noise, then of what drives their biases."""
+    decay: np.ndarray
+    """(2,) inverse correlation time of accelerometer and gyro bias, 1/s."""
+    bias_mean: np.ndarray
+    """(6,) what the biases return to."""
+    covariance: np.ndarray
+    """(15,15) P0."""
+
+
+def noise_model(log: SensorLog) -> NoiseModel:
+    """For filters that are no composition of blocks."""
+    spec, dt = log.imu.spec, (log.imu.t[-1] - log.initial.t) / len(log.imu.t)
+    accel, gyro = bias_process("accel", log), bias_process("gyro", log)
+    white = np.repeat([white_density(spec.accel, dt), white_density(spec.gyro, dt)], 3)
+    return NoiseModel(
+        np.concatenate([white, accel.drive, gyro.drive]),
+        np.array([accel.decay[0], gyro.decay[0]]),
+        np.concatenate([accel.centre, gyro.centre]),
+        np.diag(np.asarray(log.initial.std, dtype=float) ** 2),
+    )
 
 
 def scale_process(triad: str, log: SensorLog) -> Process:

@@ -5,25 +5,27 @@ Order of the sensor-error states: blocks that add to specific force, blocks that
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.aiding import Aiding, Measurements, find_aiding
-from estimators.blocks import Block, find_block
+from estimators.aiding import Aiding, Measurements
+from estimators.blocks import Block
 from estimators.blocks.imu import white_density
 from estimators.core import calls
 from estimators.core.calls import address
-from estimators.core.filter import AUX, INVARIANT, PHI, Blocks, Events, Inputs, Model, Recording, Work
+from estimators.core.filter import AUX, INVARIANT, PHI, REJECTED, Blocks, Events, Inputs, Model, Recording, Work
 from estimators.core.lanes import WIDTH, aligned
+from estimators.core.parts import find_aiding, find_block, find_policy
 from estimators.core.propagate import NAV, Coupling, make_covariance, make_covariances
-from estimators.core.timeline import Timeline, make_timeline
-from estimators.policies import chosen_policy
+from estimators.core.timeline import Timeline, make_timeline, walk
+from estimators.policies import Policy
 from testbed.errors import InputError, nearest
-from testbed.records import STATE_NAMES, SensorLog
+from testbed.records import ACCEL_BIAS_STATES, GYRO_BIAS_STATES, NAVIGATION_STATES, Innovations, NavSolution, SensorLog
 
 Array = NDArray[np.float64]
 
@@ -58,6 +60,26 @@ class Composition:
             if name not in self.aiding:
                 raise InputError(f"options: '{name}' is no aiding of this filter; {nearest(name, self.aiding)}")
         return found
+
+    def policy_of(self, aiding: Aiding) -> tuple[Policy, dict[str, Any]]:
+        """The policy of an aiding and its options. Raises InputError for a table that names something else."""
+        setting = self.policy
+        if isinstance(setting, Mapping) and set(setting) & set(self.aiding):
+            for name in setting:
+                if name not in self.aiding:
+                    raise InputError(f"policy: '{name}' is no aiding of this filter; {nearest(name, self.aiding)}")
+            setting = setting.get(aiding.name, "plain")
+        return find_policy(setting)
+
+    def policy_memory(self, aiding: Aiding) -> Array:
+        """What an aiding's policy starts with. Raises InputError for options that it does not take."""
+        policy, options = self.policy_of(aiding)
+        known = list(inspect.signature(policy.memory).parameters)[1:]
+        for option in options:
+            if option not in known:
+                hint = nearest(option, known) if known else "it has none"
+                raise InputError(f"policy '{policy.name}' has no option '{option}'; {hint}")
+        return policy.memory(len(aiding.channels), **options)
 
     def error_code(self) -> int:
         """Raises InputError for an unknown error definition."""
@@ -99,6 +121,8 @@ class Prepared:
     measurements: list[Measurements]
     event_t: Array
     events: NDArray[np.int64]
+    r: Array
+    """(E,m) noise variances of the events."""
 
 
 def prepare(composition: Composition, log: SensorLog) -> Prepared:
@@ -118,19 +142,26 @@ def prepare(composition: Composition, log: SensorLog) -> Prepared:
     measurements = [a.samples(log, columns, **composition.options.get(a.name, {})) for a in aidings]
     event_t, events = _in_order(measurements)
     nav = [[initial.lat, initial.lon, initial.h], initial.v_n, initial.q_nb]
+
+    def joined(column: int) -> Array:
+        return np.concatenate([np.zeros(0), *(process[column] for process in processes)])
+
     return Prepared(
         composition,
         log,
         blocks,
         aidings,
-        (*STATE_NAMES[:NAV], *(name for block in blocks for name in block.states)),
-        np.concatenate([*nav, *(p.start for p in processes)]).astype(float),
-        covariance,
-        np.repeat([white_density(spec.accel, dt), white_density(spec.gyro, dt)], 3),
-        *(np.concatenate([np.zeros(0), *(p[i] for p in processes)]) for i in (2, 3, 4)),
-        measurements,
-        event_t,
-        events,
+        states=(*NAVIGATION_STATES, *(name for block in blocks for name in block.states)),
+        start=np.concatenate([*nav, joined(0)]).astype(float),
+        covariance=covariance,
+        white=np.repeat([white_density(spec.accel, dt), white_density(spec.gyro, dt)], 3),
+        drive=joined(2),
+        decay=joined(3),
+        centre=joined(4),
+        measurements=measurements,
+        event_t=event_t,
+        events=events,
+        r=_stacked(measurements, events, 2),
     )
 
 
@@ -140,6 +171,52 @@ def _in_order(measurements: Sequence[Measurements]) -> tuple[Array, NDArray[np.i
     index = [np.column_stack([np.full(len(m.t), k), np.arange(len(m.t))]) for k, m in enumerate(measurements)]
     order = np.argsort(t, kind="stable")
     return t[order], np.concatenate([np.zeros((0, 2), dtype=np.int64), *index])[order].astype(np.int64)
+
+
+def run(prepared: Prepared) -> NavSolution:
+    """Filter a prepared log from its start to its end."""
+    recording, line = make_recording(prepared), make_timeline_of(prepared)
+    walk(line, make_model(prepared, recording), len(line.t))
+    return solution_of(prepared, recording)
+
+
+def solution_of(prepared: Prepared, recording: Recording) -> NavSolution:
+    """A recording of every sample as the bench wants it."""
+    t, state = prepared.log.imu.t, recording.state
+    columns = {name: state[:, AUX + k] for k, name in enumerate(prepared.states[NAV:])}
+
+    def taken(names: tuple[str, ...]) -> Array | None:
+        return np.column_stack([columns.pop(name) for name in names]) if names[0] in columns else None
+
+    return NavSolution(
+        t,
+        state[:, 0],
+        state[:, 1],
+        state[:, 2],
+        state[:, 3:6],
+        state[:, 6:10],
+        accel_bias=taken(ACCEL_BIAS_STATES),
+        gyro_bias=taken(GYRO_BIAS_STATES),
+        std=recording.std,
+        covariance_t=t[recording.snapshot_stride - 1 :: recording.snapshot_stride],
+        covariance=recording.covariance,
+        innovations=_innovations(prepared, recording),
+        states=prepared.states,
+        estimates=columns,
+    )
+
+
+def _innovations(prepared: Prepared, recording: Recording) -> dict[str, Innovations]:
+    """Per aiding those of the samples within the IMU's time."""
+    out = {}
+    for k, aiding in enumerate(prepared.aidings):
+        mine = (prepared.events[:, 0] == k) & np.isfinite(recording.fading)
+        m = len(aiding.channels)
+        value, covariance = recording.innovation[mine, :m], recording.innovation_covariance[mine, :m, :m]
+        refused = recording.fading[mine] == REJECTED
+        rejected = refused if prepared.composition.policy_of(aiding)[0].judge is not None else None
+        out[aiding.name] = Innovations(prepared.event_t[mine], value, covariance, aiding.channels, rejected)
+    return out
 
 
 def make_timeline_of(prepared: Prepared) -> Timeline:
@@ -152,12 +229,12 @@ def make_model(prepared: Prepared, keep: Any) -> Model:
     p, scratch = make_covariance(prepared.covariance)
     k, m, n = len(prepared.drive), _rows(prepared), len(prepared.states)
     blocks = _blocks(prepared, np.zeros((k, 3)), np.zeros((k, 3)), calls.COUPLE)
-    work = [np.zeros(size) for size in (6, 6, 6, m, m, m * m, (m, n), n, (4, n), 1)]
+    work = _work(lambda *shape: np.zeros(shape), m, n)
     coupling = Coupling(_spans(prepared), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     inputs = Inputs(_imu(prepared.log), prepared.white, prepared.drive, prepared.decay, prepared.centre)
-    events = _events(prepared, _stacked(prepared, 2), calls.MEASURE)
+    events = _events(prepared, prepared.r, calls.MEASURE)
     error = prepared.composition.error_code()
-    return Model(inputs, blocks, events, error, prepared.start.copy(), p, scratch, coupling, Work(*work), keep)
+    return Model(inputs, blocks, events, error, prepared.start.copy(), p, scratch, coupling, work, keep)
 
 
 def make_lanes(prepared: Prepared, white: Array, drive: Array, r: Array, keep: Any) -> Model:
@@ -169,13 +246,30 @@ def make_lanes(prepared: Prepared, white: Array, drive: Array, r: Array, keep: A
         return aligned(int(np.prod(shape))).reshape(*shape, WIDTH)
 
     blocks = _blocks(prepared, table(k, 3), table(k, 3), calls.COUPLE_LANES)
-    work = Work(*(table(*shape) for shape in ((6,), (6,), (6,), (m,), (m,), (m * m,), (m, n), (n,), (4, n))), np.zeros(1))
+    work = _work(table, m, n)
     coupling = Coupling(_spans(prepared), table(k, 3), table(k, 3), np.zeros(k))
     inputs = Inputs(_imu(prepared.log), white, drive, prepared.decay, prepared.centre)
     state = table(AUX + k)
     state[:] = prepared.start[:, None]
     events = _events(prepared, r, calls.MEASURE_LANES)
     return Model(inputs, blocks, events, prepared.composition.error_code(), state, p, scratch, coupling, work, keep)
+
+
+def _work(array: Callable[..., Array], m: int, n: int) -> Work:
+    """Room for n states and m measurements; ``array`` makes zeros of a shape."""
+    return Work(
+        whole=array(6),
+        corrections=array(6),
+        clean=array(6),
+        residual=array(m),
+        r=array(m),
+        s=array(m * m),
+        h=array(m, n),
+        x=array(n),
+        scalars=array(m, 2),
+        scratch=array(4, n),
+        dt=np.zeros(1),
+    )
 
 
 def _imu(log: SensorLog) -> Array:
@@ -215,12 +309,12 @@ def _couple_once(block: Block, accel: Array, gyro: Array) -> None:
         target[...] = made if target.ndim == 2 else made[..., None]
 
 
-def _stacked(prepared: Prepared, column: int) -> Array:
+def _stacked(measurements: Sequence[Measurements], events: NDArray[np.int64], column: int) -> Array:
     """Measurements (1) or variances (2) of all events in order, (E,m); a shorter one is filled up with ones."""
-    out = np.ones((len(prepared.events), _rows(prepared)))
-    for k, measured in enumerate(prepared.measurements):
-        mine = prepared.events[:, 0] == k
-        values = measured[column][prepared.events[mine, 1]]
+    out = np.ones((len(events), max([1, *(m.z.shape[1] for m in measurements)])))
+    for k, measured in enumerate(measurements):
+        mine = events[:, 0] == k
+        values = measured[column][events[mine, 1]]
         out[mine, : values.shape[1]] = values
     return out
 
@@ -234,18 +328,14 @@ def _events(prepared: Prepared, r: Array, signature: Any) -> Events:
         parameters[k, : len(measured.parameters)] = measured.parameters
     policies, memories = np.zeros(count, dtype=np.int64), [np.zeros(1)]
     for k, aiding in enumerate(aidings):
-        policy, options = policy_of(prepared.composition, aiding)
-        try:
-            memories.append(policy.memory(len(aiding.channels), **options))
-        except TypeError as error:
-            raise InputError(f"policy '{policy.name}' of the aiding '{aiding.name}': {error}") from None
-        policies[k] = address(policy.judge, calls.POLICY)
+        memories.append(prepared.composition.policy_memory(aiding))
+        policies[k] = address(prepared.composition.policy_of(aiding)[0].judge, calls.POLICY)
     memory = np.zeros((count, max(len(m) for m in memories)))
     for k, values in enumerate(memories[1:]):
         memory[k, : len(values)] = values
     return Events(
         np.ascontiguousarray(prepared.events[:, 0]),
-        _stacked(prepared, 1),
+        _stacked(prepared.measurements, prepared.events, 1),
         r,
         np.array([len(a.channels) for a in aidings], dtype=np.int64),
         np.array([address(a.measure, signature) for a in aidings], dtype=np.int64),
@@ -253,17 +343,6 @@ def _events(prepared: Prepared, r: Array, signature: Any) -> Events:
         policies,
         memory,
     )
-
-
-def policy_of(composition: Composition, aiding: Aiding) -> tuple[Any, dict[str, Any]]:
-    """The policy of an aiding and its options. Raises InputError for a table that names something else."""
-    setting = composition.policy
-    if isinstance(setting, Mapping) and set(setting) & set(composition.aiding):
-        for name in setting:
-            if name not in composition.aiding:
-                raise InputError(f"policy: '{name}' is no aiding of this filter; {nearest(name, composition.aiding)}")
-        setting = setting.get(aiding.name, "plain")
-    return chosen_policy(setting)
 
 
 def make_recording(prepared: Prepared, stride: int = 1) -> Recording:

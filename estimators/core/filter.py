@@ -110,6 +110,8 @@ class Work(NamedTuple):
     """(m,n)"""
     x: Array
     """(n,) what an update adds to the state: minus the estimated error."""
+    scalars: Array
+    """(m,2) see `update`"""
     scratch: Array
     """(4,n)"""
     dt: Array
@@ -154,7 +156,7 @@ class Recording(NamedTuple):
 
 
 def note_update(keep, model, e, count, fading):
-    """Keep event ``e``, of ``count`` rows, before the state changes. Kernels only."""
+    """Keep what event ``e``, of ``count`` rows, was to the filter. Kernels only."""
     raise NotImplementedError("kernels only")
 
 
@@ -307,13 +309,12 @@ def correct(model, k, e):
             set_entry(h, a, i, 0.0)
     _measure(model, kind, e, residual, h)
     fading = _judge(model, kind, residual, h, r)
+    if fading != REJECTED:
+        for i in range(h.shape[1]):
+            put(x, i, 0.0)
+        update(x, p, residual, h, r, model.work.scalars, model.work.scratch)
+        retract(model)
     note_update(model.keep, model, e, count, fading)
-    if fading == REJECTED:
-        return
-    for i in range(h.shape[1]):
-        put(x, i, 0.0)
-    update(x, p, residual, h, r, model.work.scratch)
-    retract(model)
 
 
 @njit(cache=True, nogil=True, _nrt=False)

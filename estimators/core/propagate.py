@@ -15,7 +15,7 @@ from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from estimators.core.lanes import WIDTH, aligned, entry, get, load, put, set_entry, splat, store
+from estimators.core.lanes import WIDTH, aligned, entry, get, load, set_entry, splat, store
 from estimators.core.nav_errors import nav_errors
 
 NAV = 9
@@ -119,7 +119,11 @@ def _moved(source, first, step, coupling, motion, dt):
     force = _added(source, first, step, accel, spans[0], spans[1])
     rate = _added(source, first, step, gyro, spans[2], spans[3])
     three = 3 * step
-    errors = _triple(source, first, step), _triple(source, first + three, step), _triple(source, first + 2 * three, step)
+    errors = (
+        _triple(source, first, step),
+        _triple(source, first + three, step),
+        _triple(source, first + 2 * three, step),
+    )
     return nav_errors(errors, rate, force, motion, dt)
 
 
@@ -237,5 +241,3 @@ def _gain(p, n, first, change):
     for i in range(first, first + 3):
         for j in range(n):
             set_entry(p, j, i, entry(p, i, j))
-
-

@@ -28,11 +28,12 @@ def innovation_covariance(p, h, r, s, scratch):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def update(x, p, residual, h, r, scratch):
+def update(x, p, residual, h, r, scalars, scratch):
     """Add to ``x`` (n,) and take from ``p`` (n,n or wider), in place, what ``residual`` = z - h(x) (m,) tells.
 
     ``h`` (m,n) is the sensitivity, ``r`` (m,) the noise variances. The scalars follow one another, which is exact because R
-    is diagonal. ``scratch`` (4,n) is overwritten; its last row is the change of x.
+    is diagonal; ``scalars`` (m,2) becomes what each of them added to what was known, and its variance, so that the sum of
+    log variance + square / variance is log det S + v' S^-1 v. ``scratch`` (4,n) is overwritten.
     """
     m, n = h.shape[0], h.shape[1]
     for i in range(n):
@@ -44,6 +45,8 @@ def update(x, p, residual, h, r, scratch):
             if not is_zero(entry(h, a, i)):
                 variance = variance + entry(h, a, i) * entry(scratch, 0, i)
                 left = left - entry(h, a, i) * entry(scratch, 3, i)
+        set_entry(scalars, a, 0, left)
+        set_entry(scalars, a, 1, variance)
         for i in range(n):
             gain = entry(scratch, 0, i) / variance
             set_entry(scratch, 1, i, gain)
@@ -112,16 +115,14 @@ def cholesky(s, factor):
 def whiten(covariance, residual, factor, white):
     """``factor`` (m,m) the lower Cholesky factor of S = ``covariance`` (m,m), and ``white`` (m,) = factor^-1 residual.
 
-    Returns v' S^-1 v and log det S; not numbers where S is not positive definite, as in a filter that has diverged.
+    Returns v' S^-1 v; not a number where S is not positive definite, as in a filter that has diverged.
     """
-    square, log_det = 0.0, 0.0
+    square = 0.0
     cholesky(covariance, factor)
     for i in range(residual.shape[0]):
-        root = factor[i, i] if factor[i, i] > 0.0 else np.nan
         left = residual[i]
         for k in range(i):
             left -= factor[i, k] * white[k]
-        white[i] = left / root
+        white[i] = left / factor[i, i] if factor[i, i] > 0.0 else np.nan
         square += white[i] * white[i]
-        log_det += 2.0 * np.log(root)
-    return square, log_det
+    return square

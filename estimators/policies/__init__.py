@@ -8,14 +8,14 @@ more to multiply P by that factor first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.errors import InputError, nearest
+from testbed.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -38,31 +38,6 @@ def add_policy(policy: Policy) -> Policy:
     """Make a policy known by its name; also for a plug-in's own."""
     POLICIES[policy.name] = policy
     return policy
-
-
-def find_policy(name: str) -> Policy:
-    """The policy of this name. Raises InputError with the nearest name."""
-    from estimators.policies import adaptive, gate, robust
-
-    assert adaptive and gate and robust
-    if name not in POLICIES:
-        raise InputError(f"no policy is called '{name}'; {nearest(name, POLICIES)}")
-    return POLICIES[name]
-
-
-def chosen_policy(setting: str | Mapping[str, Any]) -> tuple[Policy, dict[str, Any]]:
-    """Policy and options behind a scenario's setting: a name, or a table whose only, or first, key is the name.
-
-    ``"gate"``, ``{gate = 0.999}`` (the option that the policy is named after), ``{huber = {k = 1.345}}``.
-    """
-    if isinstance(setting, str):
-        return find_policy(setting), {}
-    if not isinstance(setting, Mapping) or len(setting) != 1:
-        raise InputError(f"policy = {setting!r}: expected a name, or a table such as {{ gate = 0.999 }}")
-    ((name, options),) = setting.items()
-    if isinstance(options, Mapping):
-        return find_policy(name), dict(options)
-    return find_policy(name), {name.replace("-", "_"): options}
 
 
 def fraction(name: str, value: Any) -> float:

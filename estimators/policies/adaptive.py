@@ -45,5 +45,7 @@ def strong_tracking(memory, residual, s, r, h, p):
     return fading_factor(mean_square, s, r)
 
 
-add_policy(Policy("sage-husa", sage_husa, sage_husa_memory, "R estimated from the innovations with exponential forgetting"))
+add_policy(
+    Policy("sage-husa", sage_husa, sage_husa_memory, "R estimated from the innovations with exponential forgetting")
+)
 add_policy(Policy("strong-tracking", strong_tracking, strong_tracking_memory, "P multiplied by a fading factor"))

@@ -27,11 +27,15 @@ def threshold(rows: int, gate: float = 0.999) -> Array:
 def normalised_square(residual, s):
     """v' S^-1 v."""
     m = residual.shape[0]
-    return whiten(s, residual, np.zeros((m, m)), np.zeros(m))[0]
+    return whiten(s, residual, np.zeros((m, m)), np.zeros(m))
 
 
 def judge(memory, residual, s, r, h, p):
     return 1.0 if normalised_square(residual, s) < memory[0] else 0.0
 
 
-add_policy(Policy("gate", judge, threshold, "chi-square test of the whole innovation; gate: probability that a good one passes"))
+add_policy(
+    Policy(
+        "gate", judge, threshold, "chi-square test of the whole innovation; gate: probability that a good one passes"
+    )
+)

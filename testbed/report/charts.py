@@ -15,7 +15,7 @@ import pandas as pd
 
 from testbed.report import geometry
 from testbed.report.headline import Headline
-from testbed.report.labels import DASHES, GROUPS, component_label, metric_label, quantity_label, unit
+from testbed.report.labels import DASHES, component_label
 from testbed.report.results import Result, thin
 from testbed.report.traces import (
     Figure,
@@ -30,6 +30,7 @@ from testbed.report.traces import (
     trace_line,
     trace_space,
 )
+from testbed.scoring.quantities import GROUPS, MAIN, axis_title, metric_label, quantity_label
 
 POINTS = 900  # per line
 INK = -1
@@ -181,7 +182,7 @@ def spread(per_run: pd.DataFrame, metric: str, estimators: Sequence[str], colour
             )
         )
     logarithmic = len(everything) > 0 and everything.min() > 0 and everything.max() > 30 * everything.min()
-    x = {"title": {"text": f"{metric_label(metric)}, {unit(metric)}"}, "type": "log" if logarithmic else "linear"}
+    x = {"title": {"text": axis_title(metric)}, "type": "log" if logarithmic else "linear"}
     return {"data": traces, "layout": category_rows(ticks, x)}
 
 
@@ -233,7 +234,10 @@ def timings(table: pd.DataFrame, estimators: Sequence[str], colours: Mapping[str
 def innovations(
     frame: pd.DataFrame, label: str, colours: Mapping[str, int], names: Sequence[str], spans: Spans, phases: Phases
 ) -> Figure:
-    """Innovations with their ±2 sqrt(S) band over time, and their histogram, one row per measurement channel."""
+    """Innovations with their ±2 sqrt(S) band over time, and their histogram, one row per measurement channel.
+
+    Crosses are updates that the filter's policy rejected.
+    """
     channels = [str(c).removeprefix("nu_") for c in frame if str(c).startswith("nu_")][:9]
     frame = _open_gaps(thin(frame, 700))
     traces = []
@@ -242,7 +246,13 @@ def innovations(
         axis = panel_axis(row)
         traces.append(trace_band(frame["time_s"], -2 * s, 2 * s, "±2√S", meta, axis))
         dots: Figure = {"mode": "markers", "marker": {"size": 3}}
-        traces.append(trace_line(frame["time_s"], nu, names[row], meta, axis, **dots))
+        refused = (
+            frame["rejected"].to_numpy(dtype=float) > 0.5 if "rejected" in frame else np.zeros(len(nu), dtype=bool)
+        )
+        traces.append(trace_line(frame["time_s"], np.where(refused, np.nan, nu), names[row], meta, axis, **dots))
+        if refused.any():
+            crosses: Figure = {"mode": "markers", "marker": {"size": 6, "symbol": "x"}}
+            traces.append(trace_line(frame["time_s"][refused], nu[refused], "rejected", meta, axis, **crosses))
         if np.isfinite(nu).any():
             counts, edges = np.histogram(nu[np.isfinite(nu)], bins=25)
             side = {"xaxis": f"x{20 + row}", "yaxis": axis["yaxis"]}
@@ -291,8 +301,7 @@ def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
     if groups:
         views = {g: error_traces(runs, q, colours, spans, phases) for g, q in groups.items()}
         found["errors"] = {"views": views, "band": lead.winner, "bands": list(runs)}
-    metrics = ["rmse_position_3d_m", "rmse_velocity_3d_mps", "rmse_attitude_deg"]
-    metrics = [lead.metric, *(m for m in metrics if m != lead.metric)]
+    metrics = [lead.metric, *(m for q in MAIN if (m := f"rmse_{q}") != lead.metric)]
     per_run = result.per_run(metrics, lead.window).dropna(subset=["value"])
     if len(per_run):
         shown = [m for m in metrics if (per_run["metric"] == m).any()]
@@ -309,9 +318,12 @@ def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
     if result.innovations:
         order = sorted(result.innovations, key=lambda label: label != lead.winner)
         views = {
-            e: innovations(f, e, colours, result.channels(e), spans, phases)
+            e if aiding == "gnss" else f"{e}, {aiding}": innovations(
+                f, e, colours, result.channels(e, aiding), spans, phases
+            )
             for e in order
-            if len(f := result.innovations[e]) and e in colours
+            for aiding, f in result.innovations[e].items()
+            if len(f) and e in colours
         }
         found["innovations"] = {"views": views}
     if result.extras:

@@ -16,8 +16,9 @@ import pandas as pd
 
 from testbed.report import geometry, innovations
 from testbed.report.headline import headline
-from testbed.report.labels import COLOURS, GROUPS, component_label, quantity_label, unit
+from testbed.report.labels import COLOURS, component_label
 from testbed.report.results import Result, thin
+from testbed.scoring.quantities import GROUPS, MAIN, axis_title, quantity_label, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,7 +118,7 @@ def error_traces(
             style: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)][0], "ls": DASHES[k % len(DASHES)], "lw": 0.8}
             ax.plot(t, frame[quantity].to_numpy(), label=label, **style)
     for ax, quantity in zip(axes, quantities, strict=True):
-        ax.set_ylabel(f"{quantity_label(quantity)}, {unit(quantity)}")
+        ax.set_ylabel(axis_title(quantity))
         _squeeze(ax, [frame[quantity].to_numpy() for frame in errors.values()])
     _shade(axes, outages, phases)
     _legend(figure, axes[0])
@@ -171,7 +172,7 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
             ax.set_xscale("log")
             ax.xaxis.set_major_formatter(PLAIN)
             ax.minorticks_off()
-        ax.set_xlabel(f"{quantity_label(metric.removeprefix('rmse_'))} RMSE, {unit(metric)}")
+        ax.set_xlabel(axis_title(metric))
     axes[0].set_yticks(range(1, len(estimators) + 1), estimators)
     axes[0].invert_yaxis()
     return figure
@@ -189,7 +190,7 @@ def envelopes(table: pd.DataFrame, quantities: Sequence[str], outages: Spans = (
             found.append(group["rms"].to_numpy(dtype=float))
             ax.plot(t, group["rms"], color=colour, label=label)
             ax.plot(t, group["sigma"], color=colour, ls=":", lw=0.8)
-        ax.set_ylabel(f"{quantity_label(quantity)}, {unit(quantity)}")
+        ax.set_ylabel(axis_title(quantity))
         _squeeze(ax, found, signed=False)
     _shade(axes, outages, phases)
     _legend(figure, axes[0])
@@ -278,7 +279,7 @@ def drawings(result: Result) -> dict[str, Drawing]:
             add(f"error_{group.lower()}", caption, error_traces, have, quantities, spans, phases, lead.winner)
     if result.estimators:
         add("rmse", "Mean RMSE over the runs with 95 % intervals.", rmse_bars, result.summary, lines, lead.window)
-    metrics = ["rmse_position_3d_m", "rmse_velocity_3d_mps", "rmse_attitude_deg"]
+    metrics = [f"rmse_{quantity}" for quantity in MAIN]
     per_run = result.per_run(metrics, lead.window).dropna(subset=["value"])
     if len(per_run):
         shown = [m for m in metrics if (per_run["metric"] == m).any()]

@@ -12,11 +12,10 @@ from functools import lru_cache
 
 import pandas as pd
 
-from testbed.report.labels import metric_label, number, percent, unit, window_label
+from testbed.report.labels import number, percent, window_label
 from testbed.report.results import Result
+from testbed.scoring.quantities import RANKED, metric_label, unit
 from testbed.statistics import Improvement, improvement
-
-PREFERRED = ("rmse_position_3d_m", "rmse_attitude_deg", "rmse_roll_deg", "rmse_velocity_3d_mps")
 
 FEWEST_FOR_A_TEST = 6
 NONE = Improvement(math.nan, math.nan, math.nan, math.nan, 0)
@@ -102,11 +101,11 @@ def main_measure(result: Result) -> tuple[str, str]:
         if (key := (str(claim.get("metric")), str(claim.get("window", "all")))) in scored:
             return key
     usable = result.summary.dropna(subset=["mean"])
-    for metric in PREFERRED:
+    for metric in RANKED:
         for window in ("outages", "all"):
             if len(usable[(usable["metric"] == metric) & (usable["window"] == window)]):
                 return metric, window
-    return PREFERRED[0], "all"
+    return RANKED[0], "all"
 
 
 def _improvement(result: Result, runs: pd.DataFrame, better: str, than: str) -> Improvement:

@@ -7,7 +7,7 @@ Bar-Shalom et al. (2001), section 5.4. Of run 0, fixes outside of outages, divid
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,6 +68,8 @@ def analyse(frame: pd.DataFrame, names: Sequence[str], outages: Spans = ()) -> l
     t = frame["time_s"].to_numpy(dtype=float)
     fixed = ~np.any([(t >= a) & (t <= b) for a, b in outages], axis=0) if len(outages) else np.ones(len(t), dtype=bool)
     found = []
+    if "rejected" in frame:
+        fixed &= ~frame["rejected"].to_numpy(dtype=bool)
     for k in shown(names):
         nu, s = frame[f"nu_{k}"].to_numpy(dtype=float), frame[f"s_{k}"].to_numpy(dtype=float)
         good = fixed & np.isfinite(nu) & (s > 0.0)
@@ -86,6 +88,26 @@ def analyse(frame: pd.DataFrame, names: Sequence[str], outages: Spans = ()) -> l
             )
         )
     return found
+
+
+def _channels_of(result: Result, label: str) -> list[Channel]:
+    """The tested channels of all aidings of an estimator; those that are not of GNSS carry the aiding's name."""
+    found = []
+    for aiding, frame in result.innovations[label].items():
+        names = result.channels(label, aiding)
+        for channel in analyse(frame, names, result.outages if aiding == "gnss" else ()):
+            found.append(channel if aiding == "gnss" else replace(channel, name=f"{aiding}: {channel.name}"))
+    return found
+
+
+def rejections(result: Result) -> list[str]:
+    """In words, what part of its updates each filter's policy rejected in run 0; empty where none did."""
+    told = []
+    for label in result.estimators:
+        for aiding, frame in result.innovations.get(label, {}).items():
+            if "rejected" in frame and (count := int(frame["rejected"].sum())):
+                told.append(f"{label} rejected {percent(100.0 * count / len(frame))} % of its updates with {aiding}")
+    return told
 
 
 def shown(names: Sequence[str]) -> list[int]:
@@ -114,7 +136,7 @@ def table(result: Result) -> Table | None:
     for label in result.estimators:
         if label not in result.innovations:
             continue
-        channels = analyse(result.innovations[label], result.channels(label), result.outages)
+        channels = _channels_of(result, label)
         if not channels:
             continue
         twin = next((row for row in rows if _same(row[1], channels)), None)
@@ -136,6 +158,8 @@ def table(result: Result) -> Table | None:
         f"not normal), and about 1 of the {LAGS} first lags of the autocorrelation outside ±1.96/√n. p supposes independent "
         "samples: where many lags are outside, it says less than the figure."
     )
+    if told := rejections(result):
+        note += f" Without rejected updates: {'; '.join(told)}."
     return Table("innovations", "Innovations", columns, lines, note)
 
 
@@ -177,7 +201,7 @@ def figures(result: Result, winner: str) -> dict[str, tuple[list[Channel], str, 
     """Name -> (channels, label, number of the colour) of the filters worth a `figure`."""
     found = {}
     for label in chosen(result, winner):
-        if channels := analyse(result.innovations[label], result.channels(label), result.outages):
+        if channels := _channels_of(result, label):
             colour = result.estimators.index(label) if label in result.estimators else 0
             found[f"innovations_{result.info['estimators'][label]}"] = channels, label, colour
     return found

@@ -1,4 +1,4 @@
-"""Words, units, colours and number formats, one definition for tables, figures and pages.
+"""Words, colours and number formats, one definition for tables, figures and pages; quantities: `testbed.scoring.quantities`.
 
 Colours: Okabe and Ito (2008), a palette that stays distinct under the common colour-vision deficiencies; yellow is left out
 (unreadable on white). Line styles repeat the distinction for print in grey.
@@ -9,32 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-QUANTITIES: dict[str, tuple[str, str]] = {
-    "north_m": ("North", "m"),
-    "east_m": ("East", "m"),
-    "down_m": ("Down", "m"),
-    "position_2d_m": ("2-D position", "m"),
-    "position_3d_m": ("3-D position", "m"),
-    "v_north_mps": ("North velocity", "m/s"),
-    "v_east_mps": ("East velocity", "m/s"),
-    "v_down_mps": ("Down velocity", "m/s"),
-    "velocity_3d_mps": ("3-D velocity", "m/s"),
-    "roll_deg": ("Roll", "°"),
-    "pitch_deg": ("Pitch", "°"),
-    "yaw_deg": ("Yaw", "°"),
-    "attitude_deg": ("Attitude", "°"),
-    "nees_position": ("NEES position", ""),
-    "nees_velocity": ("NEES velocity", ""),
-    "nees_attitude": ("NEES attitude", ""),
-    "nees_bias": ("NEES bias", ""),
-    "nis": ("NIS", ""),
-}
-STATISTICS = {"rmse": "{} RMSE", "max": "largest {} error", "final": "{} error at the end", "mean": "mean {} error"}
-GROUPS: dict[str, list[str]] = {
-    "Position": ["north_m", "east_m", "down_m"],
-    "Velocity": ["v_north_mps", "v_east_mps", "v_down_mps"],
-    "Attitude": ["roll_deg", "pitch_deg", "yaw_deg"],
-}
 # (on white, on dark)
 COLOURS = [
     ("#0072B2", "#4FA8DE"),
@@ -48,31 +22,6 @@ COLOURS = [
 ]
 DASHES = ["solid", "dash", "dot", "dashdot", "longdash", "longdashdot"]
 MISSING = "–"
-
-
-def split_metric(metric: str) -> tuple[str, str]:
-    """``rmse_north_m`` -> (``rmse``, ``north_m``); a metric without a statistic gives an empty first part."""
-    head, _, rest = metric.partition("_")
-    return (head, rest) if head in STATISTICS and rest else ("", metric)
-
-
-def metric_label(metric: str) -> str:
-    """``rmse_position_3d_m`` -> ``3-D position RMSE``."""
-    statistic, quantity = split_metric(metric)
-    name = quantity_label(quantity)
-    if not statistic or name.startswith(("NEES", "NIS")):
-        return name
-    words = STATISTICS[statistic].format(name[0].lower() + name[1:])
-    return words[0].upper() + words[1:]
-
-
-def quantity_label(quantity: str) -> str:
-    return QUANTITIES.get(quantity, (quantity.replace("_", " "), ""))[0]
-
-
-def unit(metric: str) -> str:
-    """Unit as printed; empty for a dimensionless metric."""
-    return QUANTITIES.get(split_metric(metric)[1], ("", ""))[1]
 
 
 def window_label(window: str) -> str:

@@ -34,7 +34,7 @@ PARQUET_COLUMNS = {
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One result folder. ``errors``, ``innovations`` and ``extras`` map an estimator's label to run 0's table."""
+    """One result folder. ``errors`` and ``extras`` map an estimator's label to run 0's table, ``innovations`` to one per aiding."""
 
     folder: Path
     manifest: Mapping[str, Any]
@@ -49,7 +49,7 @@ class Result:
     info: Mapping[str, Any] = field(default_factory=dict)
     truth: pd.DataFrame = field(default_factory=pd.DataFrame)
     errors: Mapping[str, pd.DataFrame] = field(default_factory=dict)
-    innovations: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    innovations: Mapping[str, Mapping[str, pd.DataFrame]] = field(default_factory=dict)
     extras: Mapping[str, pd.DataFrame] = field(default_factory=dict)
     findings: str = ""
 
@@ -112,15 +112,14 @@ class Result:
         """Names of the components of an estimator's extras, where ``info.json`` has them (``components``)."""
         return dict(self.info.get("components", {}).get(label, {}))
 
-    def channels(self, label: str) -> list[str]:
-        """Names of an estimator's innovation channels, where ``info.json`` has them (``innovations``); else numbered."""
-        count = sum(str(c).startswith("nu_") for c in self.innovations[label])
-        given = self.info.get("innovations", {}).get(label)
-        return (
-            [str(name) for name in given]
-            if given and len(given) >= count
-            else [f"channel {k + 1}" for k in range(count)]
-        )
+    def channels(self, label: str, aiding: str = "gnss") -> list[str]:
+        """Names of the channels of an estimator's innovations, where ``info.json`` has them; else numbered."""
+        count = sum(str(c).startswith("nu_") for c in self.innovations[label][aiding])
+        given = self.info.get("innovations", {}).get(label, {})
+        names = given if isinstance(given, list) else given.get(aiding, [])  # a list: results of version 0.1
+        if len(names) < count:
+            return [f"channel {k + 1}" for k in range(count)]
+        return [str(name) for name in names]
 
     def per_run(self, metrics: list[str], window: str) -> pd.DataFrame:
         """Rows of ``metrics.parquet``: run, estimator, window, metric, value. Only what is asked for is read."""
@@ -176,4 +175,18 @@ def _load_details(folder: Path) -> dict[str, Any]:
     for kind in ("errors", "innovations", "extras"):
         paths = {label: folder / f"{kind}-{slug}.parquet" for label, slug in info.get("estimators", {}).items()}
         found[kind] = {label: pd.read_parquet(path) for label, path in paths.items() if path.exists()}
+    found["innovations"] = {label: _by_aiding(frame) for label, frame in found["innovations"].items()}
+    return found
+
+
+def _by_aiding(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """A file of innovations as a table per aiding, each with its own channels; version 0.1 had GNSS alone."""
+    if "aiding" not in frame:
+        return {"gnss": frame}
+    found = {}
+    for aiding, part in frame.groupby("aiding", sort=False):
+        spreads = [str(c) for c in part if str(c).startswith("s_")]
+        foreign = [c for c in spreads if part[c].isna().all()]  # channels of an aiding that has more of them
+        part = part.drop(columns=["aiding", *foreign, *(c.replace("s_", "nu_") for c in foreign)])
+        found[str(aiding)] = part.reset_index(drop=True)
     return found

@@ -12,40 +12,15 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
 
-from testbed.report.labels import (
-    MISSING,
-    metric_label,
-    number,
-    percent,
-    quantity_label,
-    unit,
-    verdict_kind,
-    window_label,
-)
+from testbed.report.labels import MISSING, number, percent, verdict_kind, window_label
 from testbed.report.results import Result
+from testbed.scoring.quantities import COMPARED, TIME_METRIC, metric_label, quantity_label, short_label, unit
 
-COMPARED = (
-    "rmse_north_m rmse_east_m rmse_down_m rmse_position_3d_m max_position_3d_m final_position_3d_m rmse_velocity_3d_mps "
-    "rmse_roll_deg rmse_pitch_deg rmse_yaw_deg rmse_attitude_deg"
-).split()
 NOT_PRINTED = -1
 """Stands in a scenario's table where the paper has no figure."""
 REASONS = 4
 """Most frequent reasons shown per estimator."""
-COSTS = ("us_per_sample", "seconds")
-SHORT = {
-    "rmse_north_m": "North",
-    "rmse_east_m": "East",
-    "rmse_down_m": "Down",
-    "rmse_position_3d_m": "3-D pos.",
-    "max_position_3d_m": "Max 3-D",
-    "final_position_3d_m": "End 3-D",
-    "rmse_velocity_3d_mps": "3-D vel.",
-    "rmse_roll_deg": "Roll",
-    "rmse_pitch_deg": "Pitch",
-    "rmse_yaw_deg": "Yaw",
-    "rmse_attitude_deg": "Attitude",
-}
+COSTS = (TIME_METRIC, "seconds")
 
 
 @dataclass(frozen=True)
@@ -89,7 +64,7 @@ def comparison(result: Result, window: str) -> Table:
     rows = []
     for label in result.estimators:
         rows.append((label, [_mean_cell(result, window, m, label, best[m]) for m in metrics]))
-    columns = [Column(SHORT[m], unit(m), title=metric_label(m)) for m in metrics]
+    columns = [Column(short_label(m), unit(m), title=metric_label(m)) for m in metrics]
     counts = sorted({int(n) for n in result.summary.loc[result.summary["window"] == window, "n"].dropna()})
     over = (
         f"{counts[0]} to {counts[-1]} runs"
@@ -171,7 +146,7 @@ def _cost(result: Result, metric: str, estimator: str) -> float:
     if found.empty:
         return math.nan
     median = float(found["median_us"].iloc[0])
-    return median if metric == "us_per_sample" else 1e-6 * median * float(found["samples"].iloc[0])
+    return median if metric == TIME_METRIC else 1e-6 * median * float(found["samples"].iloc[0])
 
 
 def timings(result: Result) -> Table | None:
@@ -207,10 +182,11 @@ def consistency(result: Result) -> Table | None:
     if frame.empty:
         return None
     quantities = list(dict.fromkeys(frame["quantity"]))
+    kinds = frame.groupby("quantity")["dof"].nunique()
     columns = []
     for quantity in quantities:
-        dof = frame.loc[frame["quantity"] == quantity, "dof"].iloc[0]
-        group = f"{quantity_label(quantity)} (expect {dof:g})"
+        expected = {f"{dof:g}" for dof in frame.loc[frame["quantity"] == quantity, "dof"]}
+        group = f"{quantity_label(quantity)} (expect {expected.pop() if len(expected) == 1 else 'as stated'})"
         columns += [
             Column("mean", group=group),
             Column("inside", "%", group=group, title="Share of time inside the bounds"),
@@ -221,7 +197,8 @@ def consistency(result: Result) -> Table | None:
         for quantity in quantities:
             found = frame[(frame["estimator"] == label) & (frame["quantity"] == quantity)].to_dict("records")
             r = found[0] if found else {}
-            bounds = f"bounds {number(r['lower'])} to {number(r['upper'])}" if found else ""
+            of = f"expect {r['dof']:g}, " if found and kinds[quantity] > 1 else ""
+            bounds = f"{of}bounds {number(r['lower'])} to {number(r['upper'])}" if found else ""
             share = 100.0 * float(r.get("share_inside", math.nan))
             cells += [Cell(number(r.get("mean")), _value(r.get("mean")), bounds), Cell(percent(share), _value(share))]
         if any(c.value is not None for c in cells):

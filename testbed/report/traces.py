@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from testbed.report.labels import DASHES, quantity_label, unit
+from testbed.report.labels import DASHES
+from testbed.scoring.quantities import axis_title
 
 Figure = dict[str, Any]
 Spans = Sequence[tuple[float, float]]
@@ -71,8 +72,11 @@ def stacked_panels(
     layout["xaxis"] = {"title": {"text": "Time, s"}, "anchor": panel_axis(count - 1)["yaxis"]}
     for row, name in enumerate(names):
         top = 1 - row * tall
-        text = f"{quantity_label(name)}, {unit(name)}" if unit(name) else quantity_label(name)
-        y = {"domain": [max(0.0, top - tall + gap), top], "title": {"text": text, "standoff": 4}, "anchor": "x"}
+        y = {
+            "domain": [max(0.0, top - tall + gap), top],
+            "title": {"text": axis_title(name), "standoff": 4},
+            "anchor": "x",
+        }
         layout["yaxis" + panel_axis(row)["yaxis"][1:]] = y | ({"range": ranges[row]} if ranges[row] else {})
     whole = {"type": "rect", "yref": "paper", "y0": 0, "y1": 1, "layer": "below", "line": {"width": 0}}
     layout["shapes"] = [whole | {"x0": a, "x1": b, "name": "phase"} for _, a, b in list(phases)[1::2]]

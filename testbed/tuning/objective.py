@@ -80,8 +80,10 @@ def full_score(name: str, params: Mapping[str, Any], recording: Recording, windo
     windows = [w for w in recording.windows if w.name == window]
     table = score(recording.trajectory, solution, windows, errors=recording.errors, gnss=recording.log.gnss)
     out = dict(zip(table["metric"], table["value"], strict=True))
-    if solution.innovations is not None:
-        out[DEVIANCE] = deviance(solution.innovations)
+    if solution.innovations:
+        parts = [nu for nu in map(Innovations.taken, solution.innovations.values()) if len(nu.t)]
+        counts = [len(nu.t) for nu in parts]
+        out[DEVIANCE] = float(np.average(list(map(deviance, parts)), weights=counts)) if parts else float("inf")
     return out
 
 

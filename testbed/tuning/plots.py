@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.metrics import AXES, error_series
+from testbed.metrics import error_series
 from testbed.registry import make_estimator
+from testbed.scoring.quantities import AXES, axis_title
 from testbed.tuning.objective import Recording
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def best_flight(name: str, candidates: Mapping[str, Mapping[str, Any]], recordin
         series = error_series(recording.trajectory, solution)
         for axis, axes in enumerate(grid[:3].ravel()):
             axes.plot(series.t[::step], series.values[::step, axis], lw=0.8, color=COLOURS[k % 8], label=label)
-            axes.set_title(AXES[axis], fontsize=8)
+            axes.set_title(axis_title(AXES[axis]), fontsize=8)
             axes.grid(alpha=0.3)
             axes.tick_params(labelsize=7)
     truth = recording.trajectory

@@ -16,6 +16,7 @@ from testbed import statistics
 from testbed.records import Array
 from testbed.scenario import Scenario
 from testbed.schema import read_toml
+from testbed.scoring.quantities import MAIN, NIS
 from testbed.store import write_atomic
 from testbed.tuning.config import RMSE_METRICS, TuneConfig, tuned_entry
 from testbed.tuning.history import per_iteration, read_evaluations
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
     from testbed.tuning.tune import Task
 
-KEPT_METRICS = [*RMSE_METRICS, "rmse_position_3d_m", "rmse_velocity_3d_mps", "nees_attitude", "nis", DEVIANCE]
+KEPT_METRICS = [*RMSE_METRICS, *(f"rmse_{name}" for name in MAIN[:2]), "nees_attitude", NIS, DEVIANCE]
 
 
 def write_tables(

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 pytest.importorskip("pytest_benchmark")
 
 from testbed import metrics, statistics, store, units
-from testbed.records import NavSolution, Trajectory
+from testbed.records import STATE_NAMES, NavSolution, Trajectory
 from testbed.windows import Window
 
 SAMPLES = 15_000
@@ -36,7 +36,14 @@ def flight():
     snapshots = np.arange(99, SAMPLES, 100)
     covariance = np.tile(np.eye(15), (len(snapshots), 1, 1))
     solution = NavSolution(
-        t[1:], *noisy, v_n[1:], q[1:], std=np.ones((SAMPLES, 15)), covariance_t=t[1:][snapshots], covariance=covariance
+        t[1:],
+        *noisy,
+        v_n[1:],
+        q[1:],
+        std=np.ones((SAMPLES, 15)),
+        states=STATE_NAMES,
+        covariance_t=t[1:][snapshots],
+        covariance=covariance,
     )
     return truth, solution
 

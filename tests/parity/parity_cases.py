@@ -194,7 +194,7 @@ def figures(case: Case, solution: NavSolution) -> dict[str, dict[str, Array]]:
         sigma = _sigmas(solution)
         out["sigma"] = {name: sigma[name][rows] for name in case.states}
         out["covariance"] = _covariances(case, solution)
-    if solution.innovations is not None:
+    if solution.innovations:
         out["innovation"] = _innovations(solution)
     for name in sorted(solution.extras):
         t, values = (np.asarray(x, dtype=float) for x in solution.extras[name])
@@ -263,12 +263,11 @@ def _covariances(case: Case, solution: NavSolution) -> dict[str, Array]:
 
 def _innovations(solution: NavSolution) -> dict[str, Array]:
     """Values and sigmas of each channel, and nu' S^-1 nu; NaN where a channel is not used."""
-    nu = solution.innovations
-    assert nu is not None
+    (nu,) = solution.innovations.values()
     k = _spread(len(nu.t), FEW)
     value, covariance = nu.value[k], nu.covariance[k]
     sigma = np.sqrt(np.einsum("kii->ki", covariance))
-    out = {"t": nu.t[k]}
+    out = {}
     for i in range(value.shape[1]):
         out |= {f"value {i}": value[:, i] / sigma[:, i], f"sigma {i}": sigma[:, i]}
     out["squared"] = np.array([v @ np.linalg.solve(s, v) for v, s in zip(value, covariance, strict=True)])

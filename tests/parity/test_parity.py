@@ -40,6 +40,8 @@ def worst(stored: dict[str, Any], now: dict[str, Any]) -> tuple[float, str]:
     found = (0.0, "")
     for table, columns in stored.items():
         for key, column in columns.items():
+            if (table, key) == ("innovation", "t"):
+                continue  # was the time at which the fix was stamped, is the time that it describes
             there = key in now.get(table, {})
             found = max(
                 found, (difference(table, key, column, now[table][key]) if there else float("inf"), f"{table}: {key}")

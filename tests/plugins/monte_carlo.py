@@ -16,6 +16,7 @@ import numpy as np
 
 from testbed import earth, pipeline
 from testbed.records import (
+    STATE_NAMES,
     GnssFixes,
     ImuSamples,
     InitialState,
@@ -77,6 +78,7 @@ def _truth_plus(log, name, sigma_m, common=0.0):
     return NavSolution(
         *(truth.t[k], (truth.lat + shift / per_radian)[k], truth.lon[k], truth.h[k], truth.v_n[k], truth.q_nb[k]),
         *(np.zeros((n, 3)), np.zeros((n, 3)), std, truth.t[k][snapshots], covariance, nu),
+        states=STATE_NAMES,
     )
 
 

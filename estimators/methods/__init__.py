@@ -1,0 +1,1 @@
+"""The named estimators: compositions of parts, and `eskf`, which a scenario composes."""

@@ -1,0 +1,93 @@
+"""`eskf`: an error-state filter composed in the scenario, of blocks of states, aidings and policies by name.
+
+``params = { states = ["accel-bias", "gyro-bias", "accel-scale"], aiding = ["gnss", "baro"], policy = { gnss = { gate = 0.999 } } }``.
+Groves, 2nd ed., chapter 14; parts: `estimators.blocks`, `estimators.aiding`, `estimators.policies`. NED, SI units and radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.core.composition import Composition, Prepared, prepare, run
+from estimators.policies import positive
+from testbed.errors import InputError, nearest
+from testbed.records import NavSolution, SensorLog
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Eskf:
+    """Error-state filter from parts.
+
+    ``states``: blocks beside position, velocity and attitude. ``aiding``: what corrects it. ``policy``: one for all aidings,
+    or a table with one per aiding. ``error``: "phi" or "invariant". ``options``: of an aiding, by its name.
+    ``noise_scale``: factors on root spectral densities of "accel" and "gyro" noise, and of what drives a block, by name;
+    ``std_scale``: factors on the standard deviations of an aiding's measurements, by name. 1 is the data sheet.
+    """
+
+    states: tuple[str, ...] = ("accel-bias", "gyro-bias")
+    aiding: tuple[str, ...] = ("gnss",)
+    policy: Any = "plain"
+    error: str = "phi"
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    noise_scale: Mapping[str, float] = field(default_factory=dict)
+    std_scale: Mapping[str, float] = field(default_factory=dict)
+
+    name = "eskf"
+
+    def __post_init__(self) -> None:
+        for key in ("states", "aiding"):
+            value = getattr(self, key)
+            if isinstance(value, str) or not all(isinstance(name, str) for name in value):
+                raise InputError(f"{self.name}: {key} = {value!r}, must be a list of names")
+        try:
+            composition = self.composition
+            composition.blocks()
+            for aiding in composition.aidings():
+                composition.policy_memory(aiding)
+            composition.error_code()
+        except InputError as error:
+            raise InputError(f"{self.name}: {error}") from None
+        for key, known in (("noise_scale", ("accel", "gyro", *self.states)), ("std_scale", tuple(self.aiding))):
+            for name, factor in getattr(self, key).items():
+                if name not in known:
+                    raise InputError(f"{self.name}: {key}: no '{name}' in this filter; {nearest(name, known)}")
+                positive(f"{self.name}: {key}.{name}", factor)
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the samples of a log that it uses."""
+        return ("imu", *dict.fromkeys(aiding.sensor for aiding in self.composition.aidings() if aiding.sensor != "imu"))
+
+    @property
+    def composition(self) -> Composition:
+        """The parts by name."""
+        return Composition(tuple(self.states), tuple(self.aiding), self.policy, self.error, self.options)
+
+    def run(self, log: SensorLog) -> NavSolution:
+        """Filter the log. Raises InputError when it lacks what a part needs."""
+        return run(self.prepare(log))
+
+    def prepare(self, log: SensorLog) -> Prepared:
+        """What a run on this log starts from."""
+        try:
+            prepared = prepare(self.composition, log)
+        except InputError as error:
+            raise InputError(f"{self.name}: {error}") from None
+        white, drive, r = self.noise(prepared)
+        return replace(prepared, white=white, drive=drive, r=r)
+
+    def noise(self, prepared: Prepared) -> tuple[Array, Array, Array]:
+        """Spectral densities (6,) of the IMU and (k,) of what drives the states; noise variances (E,m) of the events."""
+        scale = self.noise_scale
+        white = prepared.white * np.repeat([scale.get("accel", 1.0) ** 2, scale.get("gyro", 1.0) ** 2], 3)
+        factors = [np.full(len(b.states), scale.get(b.name, 1.0) ** 2) for b in prepared.blocks]
+        drive = prepared.drive * np.concatenate([np.zeros(0), *factors])
+        of_aiding = np.array([self.std_scale.get(a.name, 1.0) ** 2 for a in prepared.aidings])
+        return white, drive, prepared.r * of_aiding[prepared.events[:, :1]] if len(of_aiding) else prepared.r

@@ -1,0 +1,51 @@
+"""Plug-ins that were written for version 0.1 go on working for one version, and are told how to write it now."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import weaving_flight
+
+from testbed import metrics
+from testbed.records import STATE_NAMES, NavSolution, SensorErrors, SensorLog
+from testbed.registry import load_plugin, make_estimator
+from testbed.schema import validate
+from testbed.sensors import sense_flight
+from testbed.sensors.config import InitialConfig, SensorsConfig
+from testbed.windows import Window
+
+PLUGINS = Path(__file__).parent / "plugins"
+SENSORS = {
+    "imu": {"model": "ideal", "rate_hz": 50.0},
+    "gnss": {"model": "ideal"},
+    "mag": {"model": "ideal"},
+    "baro": {"model": "ideal"},
+}
+
+
+def solve(file: str) -> tuple[dict[str, float], NavSolution, SensorLog]:
+    truth = weaving_flight(20.0, 50.0)
+    log, errors = sense_flight(validate(SensorsConfig, SENSORS, "sensors"), InitialConfig(perfect=True), truth, seed=1)
+    (name,) = load_plugin(PLUGINS / file)
+    solution = make_estimator(name).run(log)
+    assert isinstance(errors, SensorErrors)
+    table = metrics.score(truth, solution, [Window("all", ((-1.0, 20.0),))], errors, log.gnss)
+    return dict(zip(table["metric"], table["value"], strict=True)), solution, log
+
+
+def test_fifteen_columns_without_names_are_scored_and_told():
+    """An error of sigma in each of 6 channels at each update: NIS 6; biases known exactly: NEES 0."""
+    with pytest.warns(FutureWarning, match="states=testbed.records.STATE_NAMES") as told:
+        scored, solution, log = solve("v01_filter.py")
+    assert Path(told[0].filename).name == "v01_filter.py"  # where its author has to change it
+    assert solution.states == STATE_NAMES and solution.std.shape == (len(log.imu.t), 15)
+    assert scored["nis"] == pytest.approx(6.0) and scored["nees_bias"] == 0.0
+    assert scored["rmse_position_3d_m"] > 100.0  # it stands where it started
+
+
+def test_the_strapdown_and_the_sensors_of_a_log_are_where_they_were():
+    """Free navigation from the truth with ideal sensors: the test flight is the same strapdown's integral."""
+    scored, solution, log = solve("v01_strapdown.py")
+    assert scored["rmse_position_3d_m"] < 1e-6
+    expected = [len(log.gnss.t), len(log.mag.t), len(log.baro.t), log.gnss.spec.rate_hz]
+    np.testing.assert_array_equal(solution.extras["seen"][1][0, :4], expected)
