@@ -7,7 +7,7 @@ metres about the start, Euler angles (|pitch| below about 85°); at the edges th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,17 @@ from numpy.typing import NDArray
 from estimators.aiding.gnss import MINIMUM_STD, require_gnss
 from estimators.blocks.imu import noise_model
 from estimators.core.composition import SNAPSHOT_INTERVAL_S
+from estimators.core.filter import Recording
+from estimators.core.timeline import Timeline, make_timeline, walk
+from estimators.direct_kernels import MEASUREMENTS, Ekf, Inputs, Tracking, make_work
+from estimators.motion_models import ACCELERATED, Motion, Setting
+from estimators.strong_tracking import FILTERS
+from testbed import earth
 from testbed.errors import InputError
 from testbed.records import STATE_NAMES, InitialState, Innovations, NavSolution, SensorLog
+from testbed.rotations import euler_error_matrix, eulers_to_quats, quat_to_euler, wrap
 
 Array = NDArray[np.float64]
-MEASUREMENTS = 6
 
 
 @dataclass(frozen=True)
@@ -67,8 +73,6 @@ class DirectEkf(DirectFilter):
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no GNSS."""
-        from estimators.core.timeline import walk
-
         task = self.problem(log)
         model, line = make_ekf(task, self.filter_name, *self.tracking()), task.timeline()
         walk(line, model, len(task.t))
@@ -122,26 +126,20 @@ class DirectProblem:
     """(N,) IMU times."""
     gnss_t: Array
     """(M,) times that the fixes describe."""
-    inputs: Any
-    """`direct_kernels.Inputs`."""
+    inputs: Inputs
     x: Array
     """(15,) where a filter starts, and ``p`` (15,15)."""
     p: Array
-    motion: Any
-    """`motion_models.Motion` of the accelerated model."""
+    motion: Motion
+    """Of the accelerated model."""
     reference: tuple[float, float, float]
-    keep: Any
-    """`estimators.core.filter.Recording`."""
+    keep: Recording
 
     @classmethod
     def of(
         cls, log: SensorLog, name: str, noise_scales: tuple[float, ...], std_scales: tuple[float, ...]
     ) -> DirectProblem:
         """Convert ``log``. Raises InputError when it has no GNSS."""
-        from estimators.direct_kernels import Inputs
-        from estimators.motion_models import ACCELERATED, Motion, Setting
-        from testbed import earth
-
         gnss, imu, first = require_gnss(log, name), log.imu, log.initial
         per_radian = earth.metres_per_radian(first.lat, first.h)
         model = noise_model(log)
@@ -169,17 +167,12 @@ class DirectProblem:
             make_keep(imu.t, int(fixes.sum())),
         )
 
-    def timeline(self) -> Any:
-        """`estimators.core.timeline.Timeline` at the start."""
-        from estimators.core.timeline import make_timeline
-
+    def timeline(self) -> Timeline:
+        """The time line at its start."""
         return make_timeline(self.start, self.t, self.gnss_t)
 
     def solution(self, used: int, extras: dict[str, tuple[Array, Array]]) -> NavSolution:
         """The answer in the bench's conventions, after ``used`` fixes."""
-        from testbed import earth
-        from testbed.rotations import eulers_to_quats, wrap
-
         states, every = self.keep.state, self.keep.snapshot_stride
         place, rows = self.motion.setting.place, slice(every - 1, None, every)
         lat, h = self.reference[0] + states[:, 0] / place[2], self.reference[2] - states[:, 2]
@@ -213,31 +206,24 @@ class DirectProblem:
         )
 
 
-def make_ekf(task: DirectProblem, filter_name: str, forgetting: float, threshold: float) -> Any:
-    """A `direct_kernels.Ekf` at the start of a task."""
-    from estimators.direct_kernels import Ekf, Tracking, make_work
-    from estimators.strong_tracking import FILTERS
-
+def make_ekf(task: DirectProblem, filter_name: str, forgetting: float, threshold: float) -> Ekf:
+    """The filter at the start of a task."""
     tracking = Tracking(FILTERS[filter_name], forgetting, threshold, np.zeros(MEASUREMENTS + 1))
     theta = np.full(len(task.gnss_t), np.nan)
     return Ekf(task.inputs, task.motion, tracking, task.x.copy(), task.p.copy(), make_work(), task.keep, theta)
 
 
-def make_keep(t: Array, fixes: int) -> Any:
+def make_keep(t: Array, fixes: int) -> Recording:
     """Room for a row per IMU time, a covariance about once a second, and the innovations of so many fixes."""
-    from estimators.core.filter import Recording
-
     n, m = len(t), MEASUREMENTS
     every = max(1, round(SNAPSHOT_INTERVAL_S * (n - 1) / (t[-1] - t[0])))
-    rows, snapshots = np.full((2, n, 15), np.nan), np.full((n // every, 15, 15), np.nan)
+    rows, snapshots = np.empty((2, n, 15)), np.empty((n // every, 15, 15))
     nu = np.full((fixes, m), np.nan), np.full((fixes, m, m), np.nan), np.full(fixes, np.nan)
     return Recording(1, rows[0], rows[1], every, snapshots, *nu)
 
 
 def _start(first: InitialState, covariance: Array) -> tuple[Array, Array]:
     """State (15,), and its covariance (15,15) with Euler angles instead of a rotation vector."""
-    from testbed.rotations import euler_error_matrix, quat_to_euler
-
     euler = quat_to_euler(np.asarray(first.q_nb, float))
     x = np.concatenate([np.zeros(3), first.v_n, euler, first.accel_bias, first.gyro_bias]).astype(float)
     to_euler = np.eye(15)
@@ -247,8 +233,6 @@ def _start(first: InitialState, covariance: Array) -> tuple[Array, Array]:
 
 def _to_rotation_vector(snapshots: Array, states: Array, stretch: Array) -> Array:
     """Covariances (K,15,15) of scaled positions and Euler angles as those of metres and a rotation vector in n."""
-    from testbed.rotations import euler_error_matrix
-
     jacobian = np.zeros((len(snapshots), 15, 15))
     jacobian[:, range(15), range(15)] = stretch
     for k, row in enumerate(states):

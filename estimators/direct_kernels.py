@@ -74,6 +74,8 @@ class Work(NamedTuple):
     """(6,6)"""
     white: Array
     """(6,)"""
+    scalars: Array
+    """(6,2): see `estimators.core.update.update`."""
     scratch: Array
     """(4,15)"""
 
@@ -81,7 +83,7 @@ class Work(NamedTuple):
 def make_work() -> Work:
     """Work of one filter, or of filters that take turns."""
     m, n = MEASUREMENTS, N_STATES
-    shapes = (6, 6, (n, n), (n + 1, n), m, m * m, (m, n), m, (m, m), m, (4, n))
+    shapes = (6, 6, (n, n), (n + 1, n), m, m * m, (m, n), m, (m, m), m, (m, 2), (4, n))
     work = Work(*(np.zeros(shape) for shape in shapes))
     np.fill_diagonal(work.phi, 1.0)
     return work
@@ -210,8 +212,8 @@ def take_fix(tracking, x, p, seen, setting, work):
         residual[i] = z[i] - work.white[i]
     antenna_sensitivity(x, imu, setting, h)
     innovation_covariance(p, h, r, s, work.scratch)
-    theta, log_det = whiten(s, residual, work.factor, work.white)
-    fading, square = 1.0, theta
+    theta = whiten(s, residual, work.factor, work.white)
+    fading = 1.0
     if tracking.filter != strong_tracking.EKF:
         mean_square = tracking.memory[:MEASUREMENTS]
         strong_tracking.smooth_innovations(
@@ -223,10 +225,19 @@ def take_fix(tracking, x, p, seen, setting, work):
         if fading > 1.0:
             strong_tracking.fade(p, fading, work.scratch[0])
             innovation_covariance(p, h, r, s, work.scratch)
-            square, log_det = whiten(s, residual, work.factor, work.white)
-    update(x, p, residual, h, r, work.scratch)
+    update(x, p, residual, h, r, work.scalars, work.scratch)
     wrap_angles(x)
-    return theta, -0.5 * (square + log_det + MEASUREMENTS * np.log(2.0 * np.pi)), fading
+    return theta, log_likelihood(work.scalars), fading
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def log_likelihood(scalars):
+    """Of an innovation: the logarithm of its density, from the ``scalars`` (m,2) of `estimators.core.update.update`."""
+    total = scalars.shape[0] * np.log(2.0 * np.pi)
+    for a in range(scalars.shape[0]):
+        left, variance = scalars[a, 0], scalars[a, 1]
+        total += np.log(variance) + left * left / variance if variance > 0.0 else np.nan
+    return -0.5 * total
 
 
 @njit(cache=True, nogil=True, _nrt=False)

@@ -6,11 +6,14 @@ The IMM-RSTEKF paper (2023), which compares its filter with it; steps in `ukf_ke
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from estimators.core.timeline import walk
 from estimators.direct import DirectFilter, DirectProblem
+from estimators.direct_kernels import make_work
+from estimators.ukf_kernels import Ukf, make_points, make_spread
 from testbed.records import NavSolution, SensorLog
 
 
@@ -35,8 +38,6 @@ class DirectUkf(DirectFilter):
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no GNSS."""
-        from estimators.core.timeline import walk
-
         task = self.problem(log)
         model, line = make_ukf(task, self.alpha, self.beta, self.kappa), task.timeline()
         walk(line, model, len(task.t))
@@ -44,11 +45,8 @@ class DirectUkf(DirectFilter):
         return task.solution(used, {"test_statistic": (task.gnss_t[:used], model.theta[:used])})
 
 
-def make_ukf(task: DirectProblem, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0) -> Any:
-    """A `ukf_kernels.Ukf` at the start of a task."""
-    from estimators.direct_kernels import make_work
-    from estimators.ukf_kernels import Ukf, make_points, make_spread
-
+def make_ukf(task: DirectProblem, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0) -> Ukf:
+    """The filter at the start of a task."""
     spread, theta = make_spread(15, alpha, beta, kappa), np.full(len(task.gnss_t), np.nan)
     arrays = (task.x.copy(), task.p.copy(), make_work(), make_points(), task.keep, theta)
     return Ukf(task.inputs, task.motion, spread, *arrays)

@@ -13,7 +13,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.direct import MEASUREMENTS, DirectFilter, DirectProblem, check_range, chi_square_threshold
+from estimators.core.timeline import walk
+from estimators.direct import DirectFilter, DirectProblem, check_range, chi_square_threshold
+from estimators.direct_kernels import MEASUREMENTS, Tracking, make_work
+from estimators.imm_kernels import Acceleration, Aiding, Bank, Branches, Mixing, Modes, interact
+from estimators.motion_models import MODELS
+from estimators.strong_tracking import FILTERS
 from testbed.errors import InputError, nearest
 from testbed.records import NavSolution, SensorLog
 
@@ -43,9 +48,6 @@ class Branch:
     @classmethod
     def of(cls, owner: str, place: str, table: Any) -> Branch:
         """From a table. Raises InputError on anything unknown."""
-        from estimators.motion_models import MODELS
-        from estimators.strong_tracking import FILTERS
-
         if isinstance(table, Branch):
             return table
         if not isinstance(table, Mapping) or "model" not in table:
@@ -168,8 +170,6 @@ class ImmEkf(DirectFilter):
 
         Extras at the fixes, one column per branch: ``mode_probability``, ``test_statistic``, ``fading_factor``.
         """
-        from estimators.core.timeline import walk
-
         task = self.problem(log)
         model, line = self.model(task), task.timeline()
         walk(line, model, len(task.t))
@@ -178,13 +178,10 @@ class ImmEkf(DirectFilter):
         extras = {name: (task.gnss_t[:used], model.figures[:used, i]) for i, name in enumerate(names)}
         return replace(task.solution(used, extras), extra_names=dict.fromkeys(extras, tuple(self.branch_names())))
 
-    def model(self, task: DirectProblem) -> Any:
-        """A `imm_kernels.Bank` at the start of a task: its branches have interacted once."""
-        from estimators import imm_kernels as kernels
-        from estimators.direct_kernels import Tracking, make_work
-
+    def model(self, task: DirectProblem) -> Bank:
+        """The bank at the start of a task: its branches have interacted once."""
         branches, count = self._branches(task), len(self.branches)
-        modes = kernels.Modes(self.transition(), self.probability(), np.zeros(count))
+        modes = Modes(self.transition(), self.probability(), np.zeros(count))
         shapes = (
             count,
             (count, 15),
@@ -193,16 +190,16 @@ class ImmEkf(DirectFilter):
             (count, MEASUREMENTS),
             (count, MEASUREMENTS, MEASUREMENTS),
         )
-        mixing = kernels.Mixing(*(np.zeros(shape) for shape in shapes))
+        mixing = Mixing(*(np.zeros(shape) for shape in shapes))
         held = np.zeros(3), np.zeros(3), task.x[3:6].copy(), np.zeros(1)
-        kernels.interact(modes, branches, mixing)
-        return kernels.Bank(
+        interact(modes, branches, mixing)
+        return Bank(
             task.inputs,
             task.motion.setting,
             branches,
             modes,
             (Tracking(0, self.forgetting, chi_square_threshold(self.significance), np.zeros(0)), self._aiding()),
-            kernels.Acceleration(self.manoeuvre_time_s, *held),
+            Acceleration(self.manoeuvre_time_s, *held),
             task.x.copy(),
             task.p.copy(),
             mixing,
@@ -211,11 +208,7 @@ class ImmEkf(DirectFilter):
             np.full((len(task.gnss_t), 3, count), np.nan),
         )
 
-    def _branches(self, task: DirectProblem) -> Any:
-        from estimators.imm_kernels import Branches
-        from estimators.motion_models import MODELS
-        from estimators.strong_tracking import FILTERS
-
+    def _branches(self, task: DirectProblem) -> Branches:
         bank, count = self.bank(), len(self.branches)
         noise = np.tile(task.motion.noise, (count, 1))
         for row, branch in zip(noise, bank, strict=True):
@@ -232,9 +225,7 @@ class ImmEkf(DirectFilter):
             np.zeros((count, MEASUREMENTS + 1)),
         )
 
-    def _aiding(self) -> Any:
-        from estimators.imm_kernels import Aiding
-
+    def _aiding(self) -> Aiding:
         return Aiding(
             np.radians(self.tilt_std_deg) ** 2,
             np.radians(self.course_std_deg) ** 2,

@@ -261,7 +261,7 @@ def aid_with_angles(x, p, seen, setting, aiding, work):
         h[2, 8] = 1.0
         r[2] = aiding.course_variance + max(variances[3], variances[4]) / speed_square
         count = 3
-    update(x, p, residual[:count], h[:count], r[:count], work.scratch)
+    update(x, p, residual[:count], h[:count], r[:count], work.scalars, work.scratch)
     wrap_angles(x)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from estimators import pretrained
 from estimators.direct import Array, DirectProblem, check_range
+from estimators.narx_kernels import antennas
 from estimators.narx_networks import (
     CANDIDATES,
     P_DP,
@@ -341,11 +342,9 @@ class _Flight:
 
     def _antenna(self, states: Array, t: Array) -> Array:
         """What the receiver would read (E,6) in these states (E,15)."""
-        from estimators.direct_kernels import antenna
-
         out = np.empty((len(states), 6))
-        for k, i in enumerate(np.minimum(np.searchsorted(self.task.t, t), len(self.task.t) - 1)):
-            antenna(states[k], self.task.inputs.imu[i], self.task.motion.setting, out[k])
+        rows = np.minimum(np.searchsorted(self.task.t, t), len(self.task.t) - 1)
+        antennas(states, self.task.inputs.imu[rows], self.task.motion.setting, out)
         return out
 
     def solution(self, outputs: list[tuple[Array, Array]], limits: list[tuple[float, int]]) -> NavSolution:

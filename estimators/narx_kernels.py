@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.timeline import steps
-from estimators.direct_kernels import Inputs, Work, begin, stretch
+from estimators.direct_kernels import Inputs, Work, antenna, begin, stretch
 from estimators.motion_models import N_STATES, Motion, advance
 
 Array = NDArray[np.float64]
@@ -52,3 +52,10 @@ def record(model, k):
 
 
 steps(Coasting, begin, predict, correct, record)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def antennas(states, imu, setting, out):
+    """`direct_kernels.antenna` of each row: ``states`` (E,15), ``imu`` (E,6), ``out`` (E,6)."""
+    for k in range(states.shape[0]):
+        antenna(states[k], imu[k], setting, out[k])

@@ -133,7 +133,7 @@ def unscented_correct(x, p, deviations, readings, weights, work):
     count, n = deviations.shape
     m = readings.shape[1]
     factor, white, root = work.factor, work.white, work.h
-    theta, _ = whiten(work.s.reshape((m, m)), work.residual, factor, white)
+    theta = whiten(work.s.reshape((m, m)), work.residual, factor, white)
     root[:] = 0.0
     # root = factor^-1 (cross covariance)', so that P loses root' root: symmetric by construction.
     for s in range(count):

@@ -7,12 +7,16 @@ Stretches are ranges of IMU rows. Coordinates, frames and units as `direct.Direc
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from estimators.direct import MEASUREMENTS, Array, DirectProblem, make_ekf, make_keep
+from estimators.core.timeline import SAME_TIME, Timeline, walk
+from estimators.direct import Array, DirectProblem, make_ekf, make_keep
+from estimators.direct_kernels import MEASUREMENTS, Ekf
 from estimators.direct_ukf import make_ukf
+from estimators.narx_kernels import Coasting
+from estimators.ukf_kernels import Ukf
 
 Kind = Literal["ekf", "ukf"]
 
@@ -58,8 +62,8 @@ class WorkingCopy:
     """A filter ``model`` of a task, before the IMU row that ``line`` stands at."""
 
     task: DirectProblem
-    model: Any
-    line: Any
+    model: Ekf | Ukf
+    line: Timeline
 
     @classmethod
     def of(cls, task: DirectProblem, kind: Kind) -> WorkingCopy:
@@ -74,14 +78,12 @@ class WorkingCopy:
     @property
     def x(self) -> Array:
         """State (15,) before that row."""
-        state: Array = self.model.state
-        return state
+        return self.model.state
 
     @property
     def p(self) -> Array:
         """Its covariance (15,15)."""
-        p: Array = self.model.p
-        return p
+        return self.model.p
 
     def fork(self) -> WorkingCopy:
         """A second copy that starts here. It runs free, for which the EKF's mechanization is that of both filters."""
@@ -94,8 +96,6 @@ class WorkingCopy:
 
         ``fixes`` before this copy's time are left out.
         """
-        from estimators.core.timeline import walk
-
         first = self.row
         self._use(fixes)
         walk(self.line, self.model, row)
@@ -103,9 +103,6 @@ class WorkingCopy:
 
     def coast_to(self, row: int) -> Array:
         """Run the EKF's mechanization alone up to, not including, ``row``; returns states (rows,15). P stays behind."""
-        from estimators.core.timeline import walk
-        from estimators.narx_kernels import Coasting
-
         first, model = self.row, self.model
         self._use(NO_FIXES)
         walk(self.line, Coasting(model.inputs, model.motion, model.state, model.work, model.keep.state), row)
@@ -114,8 +111,6 @@ class WorkingCopy:
 
     def _use(self, fixes: Fixes) -> None:
         """Take measurements from now on from ``fixes``."""
-        from estimators.core.timeline import SAME_TIME
-
         now = float(self.line.now[0])
         self.line = self._own_line(fixes.t)
         self.line.place[1] = np.searchsorted(fixes.t, now + (SAME_TIME if self.row else -SAME_TIME), "right")
@@ -123,7 +118,7 @@ class WorkingCopy:
         inputs = self.model.inputs._replace(z=fixes.z, r=fixes.r)
         self.model = self.model._replace(inputs=inputs, keep=keep, theta=fixes.theta)
 
-    def _own_line(self, event_t: Array) -> Any:
+    def _own_line(self, event_t: Array) -> Timeline:
         """A time line with these events that stands where this copy does."""
         return self.line._replace(event_t=event_t, now=self.line.now.copy(), place=self.line.place.copy())
 

@@ -115,16 +115,14 @@ def cholesky(s, factor):
 def whiten(covariance, residual, factor, white):
     """``factor`` (m,m) the lower Cholesky factor of S = ``covariance`` (m,m), and ``white`` (m,) = factor^-1 residual.
 
-    Returns v' S^-1 v and log det S; not numbers where S is not positive definite, as in a filter that has diverged.
+    Returns v' S^-1 v; not a number where S is not positive definite, as in a filter that has diverged.
     """
-    square, log_det = 0.0, 0.0
+    square = 0.0
     cholesky(covariance, factor)
     for i in range(residual.shape[0]):
-        root = factor[i, i] if factor[i, i] > 0.0 else np.nan
         left = residual[i]
         for k in range(i):
             left -= factor[i, k] * white[k]
-        white[i] = left / root
+        white[i] = left / factor[i, i] if factor[i, i] > 0.0 else np.nan
         square += white[i] * white[i]
-        log_det += 2.0 * np.log(root)
-    return square, log_det
+    return square

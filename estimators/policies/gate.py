@@ -27,7 +27,7 @@ def threshold(rows: int, gate: float = 0.999) -> Array:
 def normalised_square(residual, s):
     """v' S^-1 v."""
     m = residual.shape[0]
-    return whiten(s, residual, np.zeros((m, m)), np.zeros(m))[0]
+    return whiten(s, residual, np.zeros((m, m)), np.zeros(m))
 
 
 def judge(memory, residual, s, r, h, p):

@@ -14,11 +14,11 @@ def updates(n, measurements, count):
     """Updates of n states with so many direct measurements; returns the covariance."""
     x, p, h = np.zeros(n), np.eye(n), np.zeros((measurements, n))
     residual, r = np.zeros(measurements), np.ones(measurements)
-    scratch = np.empty((4, n))
+    scalars, scratch = np.empty((measurements, 2)), np.empty((4, n))
     for a in range(measurements):
         h[a, a] = 1.0
     for _ in range(count):
-        update(x, p, residual, h, r, scratch)
+        update(x, p, residual, h, r, scalars, scratch)
     return p
 
 
