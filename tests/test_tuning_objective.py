@@ -82,13 +82,17 @@ def test_wrong_spaces_are_refused():
 
 def test_three_scales_turn_single_axes(flight):
     """Three equal scales are one; a scale per axis multiplies its own density only."""
-    one, three = (registry.make_estimator("indirect-kf", gyro_noise_scale=s) for s in (2.0, [2.0, 2.0, 2.0]))
-    np.testing.assert_array_equal(one.process_std(flight.log), three.process_std(flight.log))
-    single = registry.make_estimator("indirect-kf", position_std_scale=[1.0, 1.0, 5.0])
-    ratio = (
-        single.measurement_std(flight.log)[0] / registry.make_estimator("indirect-kf").measurement_std(flight.log)[0]
-    )
-    np.testing.assert_allclose(ratio, [1.0, 1.0, 5.0, 1.0, 1.0, 1.0])
+
+    def noise(**scales):
+        """White noise (6,) and the variances of the first fix (6,), as a run takes them."""
+        prepared = registry.make_estimator("indirect-kf", **scales).prepared(flight.log)
+        return prepared.white, prepared.r[0]
+
+    (white, r), (one, _), (three, _) = noise(), noise(gyro_noise_scale=2.0), noise(gyro_noise_scale=[2.0, 2.0, 2.0])
+    np.testing.assert_array_equal(one, three)
+    np.testing.assert_allclose(one, white * [1.0, 1.0, 1.0, 4.0, 4.0, 4.0])
+    _, single = noise(position_std_scale=[1.0, 1.0, 5.0])
+    np.testing.assert_allclose(single / r, [1.0, 1.0, 25.0, 1.0, 1.0, 1.0])
     for wrong in ([1.0, 2.0], [1.0, 0.0, 1.0], "two", True):
         with pytest.raises(InputError, match=r"a positive number|should be a number"):
             registry.make_estimator("indirect-kf", gyro_noise_scale=wrong)
