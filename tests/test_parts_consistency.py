@@ -62,17 +62,22 @@ def town():
 
 CASES = {
     "calibrated": (flight, {"imu": CALIBRATED}, Eskf(BIASES)),
-    "ADIS16405": (flight, {"imu": {"model": "ADIS16405"}}, Eskf(FULL)),
-    "ADIS16448": (flight, {"imu": {"model": "ADIS16448"}}, Eskf(FULL)),
+    "ADIS16405": (flight, {"imu": {"model": "ADIS16405"}}, Eskf(FULL, error="invariant")),
+    "ADIS16448": (flight, {"imu": {"model": "ADIS16448"}}, Eskf(FULL, error="invariant")),
     "car": (
         town,
         {"imu": {"model": "ADIS16448"}, "odometer": WHEEL},
-        Eskf(FULL + WHEELS, ("gnss", "odometer", "non-holonomic"), options={"non-holonomic": {"sigma_mps": 2e-3}}),
+        Eskf(
+            FULL + WHEELS,
+            ("gnss", "odometer", "non-holonomic"),
+            error="invariant",
+            options={"non-holonomic": {"sigma_mps": 2e-3}},
+        ),
     ),
     "uav": (
         flight,
         {"imu": {"model": "ADIS16448"}} | UAV,
-        Eskf((*FULL, "baro-bias", "mag-bias"), ("gnss", "baro", "mag")),
+        Eskf((*FULL, "baro-bias", "mag-bias"), ("gnss", "baro", "mag"), error="invariant"),
     ),
 }
 
