@@ -1,7 +1,7 @@
 """`ahrs-kf`: attitude from gyros, accelerometers and a magnetometer by a 12-state indirect Kalman filter, without GNSS.
 
 The measurement unit of "AHRS with LSTM-corrected Kalman gain" (2022); its structure is the one that MathWorks documents
-for ``ahrsfilter``, here with the full covariance carried along. The loop is `estimators.ahrs_kernels`. SI units, µT.
+for ``ahrsfilter``, here with the full covariance carried along. Its steps are `estimators.ahrs_kernels`. SI units, µT.
 
 The filter estimates attitude and gyro bias alone. Position and velocity of its answer stand still at the initial state,
 and are not named among its states.
@@ -10,15 +10,18 @@ and are not named among its states.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from testbed.errors import InputError
 from testbed.records import ATTITUDE_STATES, Innovations, NavSolution, SensorLog
+
+if TYPE_CHECKING:
+    from estimators.ahrs_kernels import AttitudeRecording, Figures, Samples
+    from estimators.core.timeline import Timeline
 
 Array = NDArray[np.float64]
 
@@ -27,16 +30,6 @@ CHANNELS = (*(f"gravity {axis}, m/s²" for axis in "xyz"), *(f"field {axis}, µT
 """Of its innovations."""
 MINIMUM_NOISE = (1e-7, 1e-4, 1e-3)
 """Least 1 sigma of a sample (rad/s, m/s², µT): an ideal sensor would make the covariance singular."""
-
-
-class Recording(NamedTuple):
-    """A log as the compiled loops take it: (N,3) samples, the row of the field sample that arrives with each, or -1."""
-
-    gyro: Array
-    accel: Array
-    mag: Array
-    mag_row: NDArray[np.int64]
-    field_n: Array
 
 
 @dataclass(frozen=True)
@@ -63,6 +56,7 @@ class AhrsKf:
     adaption_average_s: float = 1.0
 
     name: ClassVar[str] = "ahrs-kf"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "mag")
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = {
         "linear_accel_mps2": (0.01, 30.0, "log"),
         "linear_accel_time_s": (0.02, 300.0, "log"),
@@ -88,23 +82,25 @@ class AhrsKf:
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no magnetometer."""
-        from estimators.ahrs_kernels import filter_log
+        from estimators.ahrs_kernels import OwnGain
 
-        return self.solve(log, lambda arguments: filter_log(*arguments))
+        return self.solution(log, self.filter(log, OwnGain(np.zeros(1))))
 
-    def solve(self, log: SensorLog, loop: Callable[[tuple[Any, ...]], None]) -> NavSolution:
-        """The answer of a compiled ``loop`` that takes the arguments of `ahrs_kernels.filter_log`."""
+    def filter(self, log: SensorLog, gain: Any) -> AttitudeRecording:
+        """What a run over the log leaves behind, with a hook on the ``gain`` (see `ahrs_kernels.AttitudeFilter`)."""
+        from estimators.ahrs_kernels import empty_recording, make_filter
+        from estimators.core.timeline import walk
+
         n, t = len(log.imu.t), log.imu.t
-        state, p = self.start(log)
-        states, std = np.empty((n, 13)), np.empty((n, 3))
         stride = min(n, max(1, round(SNAPSHOT_INTERVAL_S * (n - 1) / (t[-1] - t[0]))))
-        kept = np.empty((n // stride, 12, 12)), np.empty((n // stride, 6)), np.empty((n // stride, 6, 6))
-        recording = prepare(log, self.name)
-        loop((*recording, self.model(log), state, p, stride, states, std, *kept))
-        return self._solution(log, states, std, stride, kept)
+        keep = empty_recording(n, stride)
+        samples = prepare(log, self.name)
+        walk(line_of(log), make_filter(samples, self.figures(log), self.start(log), gain, keep), n)
+        return keep
 
-    def model(self, log: SensorLog) -> Array:
-        """The figures of `ahrs_kernels.MODEL` for this log."""
+    def figures(self, log: SensorLog) -> Figures:
+        """What this log's sensors are taken for."""
+        from estimators.ahrs_kernels import Figures
         from testbed.earth import gravity
 
         dt = interval(log)
@@ -115,23 +111,21 @@ class AhrsKf:
         wander = 2.0 * gyro.gauss_markov_sigma() ** 2 / gyro.correlation_time_s + gyro.rate_random_walk**2
         accel_decay = math.exp(-dt / self.linear_accel_time_s)
         mag_decay = math.exp(-dt / self.mag_disturbance_time_s)
-        adaption = (self.turn_speed_mps, self.residual_factor)
-        return np.array(
-            [
-                gyro_sigma**2,
-                wander * dt * self.gyro_bias_scale**2,
-                self.linear_accel_mps2**2 * (1.0 - accel_decay**2),
-                self.mag_disturbance_ut**2 * (1.0 - mag_decay**2),
-                accel_sigma**2,
-                mag_sigma**2,
-                1.0,
-                accel_decay,
-                mag_decay,
-                dt,
-                gravity(log.initial.lat, log.initial.h),
-                *(np.square(adaption) * (1.0 - accel_decay**2)),
-                1.0 - math.exp(-dt / self.adaption_average_s),
-            ]
+        return Figures(
+            gyro_variance=gyro_sigma**2,
+            bias_variance=wander * dt * self.gyro_bias_scale**2,
+            accel_growth=self.linear_accel_mps2**2 * (1.0 - accel_decay**2),
+            mag_growth=self.mag_disturbance_ut**2 * (1.0 - mag_decay**2),
+            accel_variance=accel_sigma**2,
+            mag_variance=mag_sigma**2,
+            bias_decay=1.0,
+            accel_decay=accel_decay,
+            mag_decay=mag_decay,
+            interval=dt,
+            gravity=gravity(log.initial.lat, log.initial.h),
+            turn_inflation=self.turn_speed_mps**2 * (1.0 - accel_decay**2),
+            residual_inflation=self.residual_factor**2 * (1.0 - accel_decay**2),
+            averaging=1.0 - math.exp(-dt / self.adaption_average_s),
         )
 
     def start(self, log: SensorLog) -> tuple[Array, Array]:
@@ -147,22 +141,23 @@ class AhrsKf:
         p[9:, 9:] = self.mag_disturbance_ut**2 * np.eye(3)
         return state, p
 
-    def _solution(self, log: SensorLog, states: Array, std: Array, stride: int, kept: tuple[Array, ...]) -> NavSolution:
+    def solution(self, log: SensorLog, kept: AttitudeRecording) -> NavSolution:
+        """What a run leaves behind as the bench wants it."""
         t, initial, n = log.imu.t, log.initial, len(log.imu.t)
-        snapshots, z, s = kept
-        at = t[stride - 1 :: stride]
+        rows = slice(kept.stride - 1, None, kept.stride)
+        at, states = t[rows], kept.state[rows]
         still = np.full(n, initial.lat), np.full(n, initial.lon), np.full(n, initial.h), np.tile(initial.v_n, (n, 1))
         return NavSolution(
             t,
             *still,
-            states[:, :4],
-            gyro_bias=states[:, 4:7],
-            std=std,
+            kept.state[:, :4],
+            gyro_bias=kept.state[:, 4:7],
+            std=kept.std,
             covariance_t=at,
-            covariance=_covariance_n(snapshots, states[stride - 1 :: stride]),
-            innovations={"gravity-mag": Innovations(at, z, s, CHANNELS)},
+            covariance=_covariance_n(kept.covariance, states),
+            innovations={"gravity-mag": Innovations(at, kept.innovation, kept.innovation_covariance, CHANNELS)},
             states=ATTITUDE_STATES,
-            extras={"linear_accel_mps2": (at, states[stride - 1 :: stride, 7:10])},
+            extras={"linear_accel_mps2": (at, states[:, 7:10])},
         )
 
 
@@ -179,11 +174,20 @@ def interval(log: SensorLog) -> float:
     return float((log.imu.t[-1] - log.imu.t[0]) / (len(log.imu.t) - 1))
 
 
-def prepare(log: SensorLog, who: str) -> Recording:
+def line_of(log: SensorLog) -> Timeline:
+    """The time line of an attitude filter, whose events are the IMU samples: it starts one interval before the first."""
+    from estimators.core.timeline import make_timeline
+
+    return make_timeline(log.imu.t[0] - interval(log), log.imu.t, log.imu.t)
+
+
+def prepare(log: SensorLog, who: str) -> Samples:
     """The log's samples, freed of the accelerometer bias that the calibration before the flight gave.
 
     Each field sample goes with the first IMU sample at or after its time. Raises InputError without a magnetometer.
     """
+    from estimators.ahrs_kernels import Samples
+
     if log.mag is None or len(log.mag.t) == 0:
         raise InputError(f"{who}: the log has no magnetometer; give the scenario a table [sensors.mag]")
     t, mag = log.imu.t, log.mag
@@ -192,4 +196,4 @@ def prepare(log: SensorLog, who: str) -> Recording:
     inside = place < len(t)
     row[place[inside]] = np.flatnonzero(inside)
     accel = log.imu.accel - log.initial.accel_bias
-    return Recording(log.imu.gyro, accel, mag.field, row, np.array(mag.spec.field_n))
+    return Samples(log.imu.gyro, accel, mag.field, row, np.array(mag.spec.field_n))

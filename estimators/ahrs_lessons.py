@@ -6,6 +6,7 @@ Flights are objects like `testbed.dataset.Shard`: ``rows``, ``window(start, rows
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.ahrs_kf import AhrsKf, interval, prepare
-from estimators.ahrs_lstm import Weights, samples_per_step
+from estimators.ahrs_kf import AhrsKf, interval, line_of, prepare
 from estimators.ahrs_lstm_kernels import INPUTS
+from estimators.ahrs_weights import Weights, samples_per_step
 
 WIDTH = INPUTS + 72
 """Numbers in a row."""
@@ -53,25 +54,35 @@ def write_lesson(
     path: Path,
     reference_error: NDArray[np.float64] | None = None,
 ) -> Lesson:
-    """Fly one flight and write its rows; a file that is there is kept. ``reference_error`` (3,), rad, turns the truth."""
-    from estimators.ahrs_lstm_kernels import record_log
+    """Fly one flight and write its rows. ``reference_error`` (3,), rad, turns the truth."""
+    from estimators.ahrs_kernels import make_filter
+    from estimators.ahrs_lstm_kernels import LessonRows, make_network_gain, make_taught_gain
+    from estimators.core.timeline import walk
 
-    if path.exists():
-        return Lesson(path)
     log = flight.log()
     every = samples_per_step(weights, log)
     rows = np.empty((len(log.imu.t) // every, WIDTH), np.float32)
-    recording, model, (state, p) = prepare(log, kf.name), kf.model(log), kf.start(log)
+    samples, figures, start = prepare(log, kf.name), kf.figures(log), kf.start(log)
     told = np.zeros((len(log.imu.t), 3))
     if teacher.told_factor:
-        known = true_acceleration(recording.accel, _gravity_b(flight, model[10], reference_error), 1.0 / interval(log))
+        known = true_acceleration(
+            samples.accel, _gravity_b(flight, figures.gravity, reference_error), 1.0 / interval(log)
+        )
         told = (teacher.told_factor * known) ** 2
-    lesson = (tuple(weights.network), every, teacher.kf.model(log), told, teacher_flies, rows)
-    record_log(*recording, model, state, p, *lesson)
+    learner = make_network_gain(weights.network, every)
+    gain = make_taught_gain(learner, teacher.kf.figures(log), start[1].copy(), told, teacher_flies)
+    flown = make_filter(samples, figures, start, gain, LessonRows(rows, every))
+    walk(line_of(log), flown, len(rows) * every)
     scratch = path.with_suffix(".tmp")
     rows.tofile(scratch)
     os.replace(scratch, path)
     return Lesson(path)
+
+
+def checksum_of(path: Path) -> str:
+    """SHA-256 of a file's content, in hexadecimal."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _gravity_b(flight: Any, gravity: float, error: NDArray[np.float64] | None) -> NDArray[np.float64]:

@@ -11,49 +11,12 @@ ordinary ones. Departures: the network steps at 5 Hz, not at each sample of 50 H
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-from estimators.ahrs_kf import AhrsKf, Array, interval
-from testbed.errors import InputError
+from estimators.ahrs_weights import load_weights, solve_with
 from testbed.records import NavSolution, SensorLog
-
-Single = NDArray[np.float32]
-
-SHIPPED = Path(__file__).parent / "weights" / "ahrs-lstm.safetensors"
-UNTRAINED = "untrained"
-ACTIVATIONS = ("sigmoid", "linear")
-STEP_S = 0.2
-"""Time between two steps of the network unless its weights say otherwise."""
-
-
-class Network(NamedTuple):
-    """The network as the compiled step takes it (see `ahrs_lstm_kernels`); matrices are (inputs, outputs)."""
-
-    centre: Single
-    inverse_unit: Single
-    w_in: Single
-    b_in: Single
-    curved: bool
-    w_lstm: Single
-    b_lstm: Single
-    w_out: Single
-    b_out: Single
-
-
-class Weights(NamedTuple):
-    """A stored network: the arrays, its step (s), the parameters of the filter that it corrects, and its history."""
-
-    network: Network
-    step_s: float
-    filter: dict[str, float]
-    metadata: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -63,6 +26,11 @@ class AhrsLstm:
     weights: str = ""
     """A safetensors file; empty for the shipped one, ``untrained`` for a network that changes nothing."""
     name: ClassVar[str] = "ahrs-lstm"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "mag")
+
+    def prepare(self, scenario: Any) -> None:
+        """Read the weights before a batch begins. Raises InputError when they are missing, damaged or something else."""
+        load_weights(self.weights)
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError without magnetometer or weights."""
@@ -74,87 +42,3 @@ class AhrsLstm:
         from estimators.ahrs_training import train
 
         return train(*arguments, **settings)
-
-
-def solve_with(weights: Weights, log: SensorLog) -> NavSolution:
-    """The filter's answer with this network; the extra ``gain_change`` is the size of its change, rms of the logarithm."""
-    from estimators.ahrs_lstm_kernels import filter_log_corrected
-
-    changed: list[Array] = []
-
-    def loop(arguments: tuple[Any, ...]) -> None:
-        changed.append(np.zeros(len(arguments[-1])))
-        filter_log_corrected(*arguments, tuple(weights.network), samples_per_step(weights, log), changed[0])
-
-    solution = AhrsKf(**weights.filter).solve(log, loop)
-    assert solution.covariance_t is not None
-    extras = dict(solution.extras) | {"gain_change": (solution.covariance_t, changed[0])}
-    return NavSolution(**(vars(solution) | {"extras": extras}))
-
-
-def samples_per_step(weights: Weights, log: SensorLog) -> int:
-    """IMU samples between two steps of the network."""
-    return max(1, round(weights.step_s / interval(log)))
-
-
-@lru_cache(maxsize=4)
-def load_weights(weights: str) -> Weights:
-    """Read a file of weights; "" is the shipped one. Raises InputError when it is missing or is something else."""
-    if weights == UNTRAINED:
-        return untrained_weights()
-    from safetensors import SafetensorError, safe_open
-
-    path = Path(weights) if weights else SHIPPED
-    if not path.is_file():
-        raise InputError(f"ahrs-lstm: {path}: no such file; make the weights with: testbed train ahrs-lstm-2022")
-    try:
-        with safe_open(path, framework="numpy") as file:
-            arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-            metadata = {key: json.loads(value) for key, value in (file.metadata() or {}).items()}
-        return assemble(arrays, metadata)
-    except (SafetensorError, KeyError, ValueError) as error:
-        raise InputError(f"ahrs-lstm: {path}: not a file of its weights ({error})") from None
-
-
-def assemble(arrays: dict[str, Any], metadata: dict[str, Any]) -> Weights:
-    """Weights from arrays named as torch names them: ``input``, ``lstm``, ``head``, and ``centre``, ``unit``."""
-    layers = range(sum(key.startswith("lstm.weight_ih") for key in arrays))
-    joined = [np.hstack([arrays[f"lstm.weight_ih_l{k}"], arrays[f"lstm.weight_hh_l{k}"]]).T for k in layers]
-    biases = [arrays[f"lstm.bias_ih_l{k}"] + arrays[f"lstm.bias_hh_l{k}"] for k in layers]
-
-    def single(values: Any) -> Single:
-        return np.ascontiguousarray(values, dtype=np.float32)
-
-    network = Network(
-        single(arrays["centre"]),
-        single(1.0 / arrays["unit"]),
-        single(arrays["input.weight"].T),
-        single(arrays["input.bias"]),
-        metadata["activation"] == "sigmoid",
-        single(np.stack(joined)),
-        single(np.stack(biases)),
-        single(arrays["head.weight"].T),
-        single(arrays["head.bias"]),
-    )
-    return Weights(network, float(metadata["step_s"]), metadata["filter"], metadata)
-
-
-def untrained_weights(layers: int = 2, neurons: int = 200, seed: int = 0) -> Weights:
-    """Random LSTM layers below a last layer of zeros: the gain stays the filter's own."""
-    rng, width = np.random.default_rng(seed), neurons**-0.5
-
-    def draw(*shape: int) -> Single:
-        return rng.uniform(-width, width, shape).astype(np.float32)
-
-    network = Network(
-        np.zeros(90, np.float32),
-        np.ones(90, np.float32),
-        draw(90, neurons),
-        draw(neurons),
-        True,
-        draw(layers, 2 * neurons, 4 * neurons),
-        draw(layers, 4 * neurons),
-        np.zeros((neurons, 72), np.float32),
-        np.zeros(72, np.float32),
-    )
-    return Weights(network, STEP_S, {}, {})

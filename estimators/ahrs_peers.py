@@ -13,13 +13,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from estimators.ahrs_kf import Array, interval, prepare
-from testbed.errors import InputError
+from testbed.errors import InputError, MissingExtra
 from testbed.records import ATTITUDE_STATES, NavSolution, SensorLog
 
 
 @dataclass(frozen=True)
 class _Peer:
     name: ClassVar[str] = ""
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "mag")
 
     def _track(self, gyro: Array, accel: Array, mag: Array, log: SensorLog) -> Array:
         raise NotImplementedError
@@ -40,7 +41,7 @@ def _package() -> Any:
     try:
         import ahrs
     except ImportError:
-        raise InputError(
+        raise MissingExtra(
             "the peers madgwick, mahony and ahrs-ekf need the package ahrs: pip install 'navigation-testbed[peers]'"
         ) from None
     return ahrs.filters

@@ -26,10 +26,11 @@ import torch
 from numpy.typing import NDArray
 
 from estimators.ahrs_kf import AhrsKf
-from estimators.ahrs_lessons import Lesson, Teacher, scales, write_lesson
-from estimators.ahrs_lstm import ACTIVATIONS, STEP_S, Weights, assemble, solve_with
+from estimators.ahrs_lessons import Lesson, Teacher, checksum_of, scales, write_lesson
 from estimators.ahrs_lstm_kernels import INPUTS
 from estimators.ahrs_torch import GainNetwork, Memory, distance
+from estimators.ahrs_weights import ACTIVATIONS, STEP_S, Weights, assemble, solve_with
+from estimators.networks.tensor_file import read_arrays, write_arrays
 from testbed.errors import InputError
 
 DEGREES = 180.0 / np.pi
@@ -118,6 +119,7 @@ class _Training:
         self.chunk = max(1, round(settings.chunk_s / settings.step_s))
         self.window = max(1, round(settings.window_s / settings.chunk_s)) * self.chunk
         self.lessons: list[Lesson] = []
+        self.checksums: list[str] = []
         self.updates, self.best = 0, (np.inf, -1)
         self.curve: list[dict[str, float]] = []
 
@@ -142,13 +144,10 @@ class _Training:
 
     def _finish(self) -> Path:
         """Give the kept weights the whole learning curve; returns their file."""
-        from safetensors import safe_open
-
         path = self.folder / "ahrs-lstm.safetensors"
-        with safe_open(path, framework="numpy") as file:
-            arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-            metadata = {key: json.loads(value) for key, value in file.metadata().items()}
+        arrays, metadata = _read(path, "a file of weights")
         _write(path, arrays, metadata | {"learning_curve": self.curve})
+        self._write_curve()
         return path
 
     @property
@@ -158,6 +157,7 @@ class _Training:
     def _begin(self) -> int:
         """Round 0: the teacher flies; the scales of the network come from there."""
         shutil.rmtree(self.folder / "lessons", ignore_errors=True)
+        self._checkpoint.unlink(missing_ok=True)  # else a call that resumes this one would go on with the one before
         self.lessons = self._record(0)
         found = {key: torch.as_tensor(value) for key, value in scales(self.lessons).items()}
         self.network.centre.copy_(found["centre"])
@@ -177,6 +177,7 @@ class _Training:
     def _record(self, number: int) -> list[Lesson]:
         """Fly the training flights for this round, and throw the last round's lessons away."""
         folder = self.folder / "lessons" / f"round-{number}"
+        shutil.rmtree(folder, ignore_errors=True)  # what a killed call has left of this round
         folder.mkdir(parents=True, exist_ok=True)
         weights, lessons = self._weights(), []
         for k, flight in enumerate(self.flights):
@@ -187,6 +188,7 @@ class _Training:
         for other in folder.parent.iterdir():
             if other != folder:
                 shutil.rmtree(other)
+        self.checksums = [checksum_of(lesson.path) for lesson in lessons]
         self.tell(f"round {number}: {'the teacher' if number == 0 else 'the network'} has flown {len(lessons)} flights")
         return lessons
 
@@ -276,19 +278,25 @@ class _Training:
         arrays["correction"] = self.correction.cpu().numpy()
         for i, entry in self.optimiser.state_dict()["state"].items():
             arrays |= {f"optimiser.{i}.{k}": np.asarray(v.cpu()) for k, v in entry.items() if torch.is_tensor(v)}
+        arrays["random"] = torch.get_rng_state().numpy()
         state = {"done": done, "updates": self.updates, "best": list(self.best), "curve": self.curve}
+        state["lessons"] = self.checksums
         _write(self._checkpoint, arrays, state | {"settings": asdict(self.settings), "filter": asdict(self.kf)})
-        with open(self.folder / "learning-curve.csv", "w", newline="") as file:
+        self._write_curve()
+
+    def _write_curve(self) -> None:
+        path = self.folder / "learning-curve.csv"
+        scratch = path.with_suffix(".tmp")
+        with open(scratch, "w", newline="") as file:
             writer = csv.DictWriter(file, list(self.curve[0]))
             writer.writeheader()
             writer.writerows({k: f"{v:.6g}" for k, v in row.items()} for row in self.curve)
+        os.replace(scratch, path)
 
     def _restore(self) -> int:
-        from safetensors import safe_open
-
-        with safe_open(self._checkpoint, framework="numpy") as file:
-            arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-            state = {key: json.loads(value) for key, value in file.metadata().items()}
+        arrays, state = _read(self._checkpoint, "a checkpoint of a training")
+        if not {"settings", "filter", "lessons"} <= state.keys():
+            raise InputError(f"{self._checkpoint}: not a checkpoint of this version; train without --resume")
         if state["settings"] != asdict(self.settings) or state["filter"] != asdict(self.kf):
             raise InputError(
                 f"{self._checkpoint}: was made with other settings; train without --resume, or in another folder"
@@ -301,19 +309,25 @@ class _Training:
                 _, index, name = key.split(".")
                 entries.setdefault(int(index), {})[name] = torch.as_tensor(value)
         self.optimiser.load_state_dict(self.optimiser.state_dict() | {"state": entries})
+        torch.set_rng_state(torch.as_tensor(arrays["random"]))
         self.updates, self.best, self.curve = state["updates"], tuple(state["best"]), state["curve"]
         done = int(state["done"])
         if self._round(done) == self._round(done - 1) and done < self.settings.epochs:
-            self.lessons = self._lessons_kept(self._round(done))
+            self.lessons = self._lessons_kept(self._round(done), state["lessons"])
+            self.checksums = state["lessons"]
         self.tell(f"resumed after epoch {done} of {self.settings.epochs}")
         return done
 
-    def _lessons_kept(self, number: int) -> list[Lesson]:
+    def _lessons_kept(self, number: int, checksums: list[str]) -> list[Lesson]:
+        """The flights of a round that was under way, which must be those that the checkpoint was made with."""
         paths = sorted((self.folder / "lessons" / f"round-{number}").glob("*.f32"))
         if len(paths) != len(self.flights):
             raise InputError(
                 f"{self.folder / 'lessons'}: the flights of round {number} are gone; train without --resume"
             )
+        for path, checksum in zip(paths, checksums, strict=True):
+            if checksum_of(path) != checksum:
+                raise InputError(f"{path}: damaged: not what this training has flown; train without --resume")
         return [Lesson(path) for path in paths]
 
 
@@ -324,8 +338,12 @@ def _truth(flight: Any) -> NDArray[np.float64]:
 
 
 def _write(path: Path, arrays: dict[str, Any], metadata: dict[str, Any]) -> None:
-    from safetensors.numpy import save_file
+    write_arrays(path, arrays, {key: json.dumps(value) for key, value in metadata.items()})
 
-    scratch = path.with_suffix(".tmp")
-    save_file(arrays, scratch, {key: json.dumps(value) for key, value in metadata.items()})
-    os.replace(scratch, path)
+
+def _read(path: Path, what: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    arrays, texts = read_arrays(path, what)
+    try:
+        return arrays, {key: json.loads(value) for key, value in texts.items()}
+    except ValueError:
+        raise InputError(f"{path}: not {what}") from None

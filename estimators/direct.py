@@ -1,12 +1,12 @@
 """`direct-ekf`, `stekf`, `rstekf`: loosely coupled INS/GNSS by 15-state total-state extended Kalman filters.
 
-The IMM-RSTEKF paper (2023) with the accelerated motion model alone; loops in `direct_kernels`. Inside: position in
+The IMM-RSTEKF paper (2023) with the accelerated motion model alone; steps in `direct_kernels`. Inside: position in
 metres about the start, Euler angles (|pitch| below about 85°); at the edges the bench's conventions. SI, radians, NED.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,7 +16,7 @@ from estimators.aiding.gnss import MINIMUM_STD, require_gnss
 from estimators.blocks.imu import noise_model
 from estimators.core.composition import SNAPSHOT_INTERVAL_S
 from testbed.errors import InputError
-from testbed.records import STATE_NAMES, Innovations, NavSolution, SensorLog
+from testbed.records import STATE_NAMES, InitialState, Innovations, NavSolution, SensorLog
 
 Array = NDArray[np.float64]
 MEASUREMENTS = 6
@@ -58,6 +58,7 @@ class DirectEkf(DirectFilter):
     """Extended Kalman filter; prediction at every IMU sample, GNSS at its own time."""
 
     name: ClassVar[str] = "direct-ekf"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
     filter_name: ClassVar[str] = "ekf"
 
     def tracking(self) -> tuple[float, float]:
@@ -66,19 +67,15 @@ class DirectEkf(DirectFilter):
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no GNSS."""
-        from estimators.direct_kernels import filter_log
-        from estimators.strong_tracking import FILTERS
+        from estimators.core.timeline import walk
 
         task = self.problem(log)
-        figures = np.full((len(task.gnss_t), 2), np.nan)
-        arrays = (*task.outputs, figures)
-        timeline, fixes = (task.start, task.t, task.imu), (task.gnss_t, task.gnss_z, task.gnss_r)
-        x, p = task.x.copy(), task.p.copy()
-        code = FILTERS[self.filter_name]
-        used = filter_log(*timeline, *fixes, x, p, code, task.noise, task.setting, self.tracking(), task.every, arrays)
-        extras = {"test_statistic": (task.gnss_t[:used], figures[:used, 0])}
+        model, line = make_ekf(task, self.filter_name, *self.tracking()), task.timeline()
+        walk(line, model, len(task.t))
+        used = int(line.place[1])
+        extras = {"test_statistic": (task.gnss_t[:used], model.theta[:used])}
         if self.filter_name != "ekf":
-            extras["fading_factor"] = (task.gnss_t[:used], figures[:used, 1])
+            extras["fading_factor"] = (task.gnss_t[:used], task.keep.fading[:used])
         return task.solution(used, extras)
 
 
@@ -118,80 +115,73 @@ class Rstekf(Stekf):
 
 @dataclass(frozen=True)
 class DirectProblem:
-    """A log in the coordinates of the direct filters, and the arrays that they fill."""
+    """A log in the coordinates of the direct filters, and room for what a run leaves behind."""
 
     start: float
     t: Array
-    imu: Array
+    """(N,) IMU times."""
     gnss_t: Array
-    gnss_z: Array
-    """(M,6): scaled position (m) and velocity (m/s) of the antenna."""
-    gnss_r: Array
-    """(M,6): variances."""
+    """(M,) times that the fixes describe."""
+    inputs: Any
+    """`direct_kernels.Inputs`."""
     x: Array
+    """(15,) where a filter starts, and ``p`` (15,15)."""
     p: Array
-    noise: Array
-    """(13,): see `motion_models.add_process_noise`."""
-    setting: Any
+    motion: Any
+    """`motion_models.Motion` of the accelerated model."""
     reference: tuple[float, float, float]
-    every: int
-    outputs: tuple[Array, ...] = field(repr=False)
+    keep: Any
+    """`estimators.core.filter.Recording`."""
 
     @classmethod
     def of(
         cls, log: SensorLog, name: str, noise_scales: tuple[float, ...], std_scales: tuple[float, ...]
     ) -> DirectProblem:
         """Convert ``log``. Raises InputError when it has no GNSS."""
-        from estimators.motion_models import Setting
+        from estimators.direct_kernels import Inputs
+        from estimators.motion_models import ACCELERATED, Motion, Setting
         from testbed import earth
-        from testbed.rotations import euler_error_matrix, quat_to_euler
 
         gnss, imu, first = require_gnss(log, name), log.imu, log.initial
-        per_lat, per_lon = earth.metres_per_radian(first.lat, first.h)
-        euler = quat_to_euler(np.asarray(first.q_nb, float))
-        x = np.concatenate([np.zeros(3), first.v_n, euler, first.accel_bias, first.gyro_bias]).astype(float)
+        per_radian = earth.metres_per_radian(first.lat, first.h)
         model = noise_model(log)
-        to_euler = np.eye(15)
-        to_euler[6:9, 6:9] = np.linalg.inv(np.array(euler_error_matrix(*euler)))
-        setting = Setting(
-            np.array([first.lat, first.h, per_lat, per_lon]),
-            model.bias_mean,
-            model.decay,
-            np.array(gnss.spec.lever_arm_b, dtype=float),
-        )
+        x, p = _start(first, model.covariance)
+        place, lever = np.array([first.lat, first.h, *per_radian]), np.array(gnss.spec.lever_arm_b, dtype=float)
+        setting = Setting(place, model.bias_mean, model.decay, lever)
+        noise = np.append(model.q * np.repeat(noise_scales, 3) ** 2, 0.0)
         fix_t = gnss.t - gnss.spec.latency_s
-        fixes = np.flatnonzero(fix_t >= first.t - 1e-7)
+        fixes = fix_t >= first.t - 1e-7
         position = earth.position_difference(gnss.lat, gnss.lon, gnss.h, first.lat, first.lon, first.h)
         local = earth.metres_per_radian(gnss.lat, gnss.h)
         std = np.maximum(gnss.measurement_std(), MINIMUM_STD) * np.repeat(std_scales, 3)
-        std[:, 0] *= per_lat / local[0]
-        std[:, 1] *= per_lon / local[1]
-        n, m = len(imu.t), len(fixes)
-        every = max(1, round(SNAPSHOT_INTERVAL_S * (n - 1) / (imu.t[-1] - imu.t[0])))
-        shapes = ((n, 15), (n, 15), (n // every, 15, 15), (m, MEASUREMENTS), (m, MEASUREMENTS, MEASUREMENTS))
+        std[:, 0] *= per_radian[0] / local[0]
+        std[:, 1] *= per_radian[1] / local[1]
+        z = np.column_stack([*position, gnss.v_n])
         return cls(
             first.t,
             imu.t,
-            np.column_stack([imu.gyro, imu.accel]),
             fix_t[fixes],
-            np.column_stack([*position, gnss.v_n])[fixes],
-            std[fixes] ** 2,
+            Inputs(np.column_stack([imu.gyro, imu.accel]), z[fixes], std[fixes] ** 2),
             x,
-            to_euler @ model.covariance @ to_euler.T,
-            np.append(model.q * np.repeat(noise_scales, 3) ** 2, 0.0),
-            setting,
+            p,
+            Motion(ACCELERATED, setting, noise, np.zeros(3)),
             (first.lat, first.lon, first.h),
-            every,
-            tuple(np.full(shape, np.nan) for shape in shapes),
+            make_keep(imu.t, int(fixes.sum())),
         )
+
+    def timeline(self) -> Any:
+        """`estimators.core.timeline.Timeline` at the start."""
+        from estimators.core.timeline import make_timeline
+
+        return make_timeline(self.start, self.t, self.gnss_t)
 
     def solution(self, used: int, extras: dict[str, tuple[Array, Array]]) -> NavSolution:
         """The answer in the bench's conventions, after ``used`` fixes."""
         from testbed import earth
         from testbed.rotations import eulers_to_quats, wrap
 
-        states, variances, snapshots, residuals, covariances = self.outputs
-        place, rows = self.setting.place, slice(self.every - 1, None, self.every)
+        states, every = self.keep.state, self.keep.snapshot_stride
+        place, rows = self.motion.setting.place, slice(every - 1, None, every)
         lat, h = self.reference[0] + states[:, 0] / place[2], self.reference[2] - states[:, 2]
         stretch = np.ones((len(self.t), 15))
         local = earth.metres_per_radian(lat, h)
@@ -208,19 +198,51 @@ class DirectProblem:
             eulers_to_quats(states[:, 6:9]),
             accel_bias=states[:, 9:12],
             gyro_bias=states[:, 12:15],
-            std=np.sqrt(np.where(variances >= 0.0, variances, np.nan)) * stretch,
+            std=self.keep.std * stretch,
             covariance_t=self.t[rows],
-            covariance=_to_rotation_vector(snapshots, states[rows], stretch[rows]),
+            covariance=_to_rotation_vector(self.keep.covariance, states[rows], stretch[rows]),
             innovations={
                 "gnss": Innovations(
                     self.gnss_t[:used],
-                    residuals[:used] * to_metres,
-                    covariances[:used] * to_metres[:, :, None] * to_metres[:, None, :],
+                    self.keep.innovation[:used] * to_metres,
+                    self.keep.innovation_covariance[:used] * to_metres[:, :, None] * to_metres[:, None, :],
                 )
             },
             states=STATE_NAMES,
             extras=extras,
         )
+
+
+def make_ekf(task: DirectProblem, filter_name: str, forgetting: float, threshold: float) -> Any:
+    """A `direct_kernels.Ekf` at the start of a task."""
+    from estimators.direct_kernels import Ekf, Tracking, make_work
+    from estimators.strong_tracking import FILTERS
+
+    tracking = Tracking(FILTERS[filter_name], forgetting, threshold, np.zeros(MEASUREMENTS + 1))
+    theta = np.full(len(task.gnss_t), np.nan)
+    return Ekf(task.inputs, task.motion, tracking, task.x.copy(), task.p.copy(), make_work(), task.keep, theta)
+
+
+def make_keep(t: Array, fixes: int) -> Any:
+    """Room for a row per IMU time, a covariance about once a second, and the innovations of so many fixes."""
+    from estimators.core.filter import Recording
+
+    n, m = len(t), MEASUREMENTS
+    every = max(1, round(SNAPSHOT_INTERVAL_S * (n - 1) / (t[-1] - t[0])))
+    rows, snapshots = np.full((2, n, 15), np.nan), np.full((n // every, 15, 15), np.nan)
+    nu = np.full((fixes, m), np.nan), np.full((fixes, m, m), np.nan), np.full(fixes, np.nan)
+    return Recording(1, rows[0], rows[1], every, snapshots, *nu)
+
+
+def _start(first: InitialState, covariance: Array) -> tuple[Array, Array]:
+    """State (15,), and its covariance (15,15) with Euler angles instead of a rotation vector."""
+    from testbed.rotations import euler_error_matrix, quat_to_euler
+
+    euler = quat_to_euler(np.asarray(first.q_nb, float))
+    x = np.concatenate([np.zeros(3), first.v_n, euler, first.accel_bias, first.gyro_bias]).astype(float)
+    to_euler = np.eye(15)
+    to_euler[6:9, 6:9] = np.linalg.inv(np.array(euler_error_matrix(*euler)))
+    return x, to_euler @ covariance @ to_euler.T
 
 
 def _to_rotation_vector(snapshots: Array, states: Array, stretch: Array) -> Array:

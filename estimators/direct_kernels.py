@@ -1,29 +1,109 @@
-"""Predict and update of the direct (total-state) extended Kalman filters, and the loop over a whole log. Kernels only.
+"""The direct (total-state) extended Kalman filters: predict and update of one filter, and its steps on a time line.
 
-States, models and ``place`` as in `motion_models`; the IMM-RSTEKF paper (2023). A GNSS fix between two IMU samples
-splits the interval: predict to the fix, update, predict on. Positions are metres of the scaled coordinates of ``place``.
+States, models and ``place`` as in `motion_models`; the IMM-RSTEKF paper (2023). Positions are metres of the scaled
+coordinates of ``place``. Kernels only; `estimators.core.timeline` walks a log with them.
 """
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from estimators import kalman, strong_tracking
-from estimators.motion_models import ACCELERATED, N_STATES, add_process_noise, advance, transition
+from estimators import strong_tracking
+from estimators.core.filter import note_sample, note_update
+from estimators.core.lever_arm import lever_arm
+from estimators.core.timeline import steps
+from estimators.core.update import innovation_covariance, update, whiten
+from estimators.motion_models import N_STATES, Motion, Step, add_process_noise, advance, transition
 from estimators.strapdown import coning_sculling
 from testbed import earth
-from testbed.rotations import cross, euler_error_matrix, euler_to_quat, matrix_rotate, quat_to_matrix, wrap
+from testbed.rotations import euler_error_matrix, euler_to_quat, quat_to_matrix, wrap
 
-COMMON = 6
-"""Measurements that every branch has: position and velocity."""
-EXTRA = 3
-"""Roll, pitch and yaw of the constant-velocity branch."""
-SAME_TIME = 1e-7
-"""Times (s) closer than this are one."""
+Array = NDArray[np.float64]
+
+MEASUREMENTS = 6
+"""Position and velocity of a fix."""
 
 
-@njit(cache=True)
+class Inputs(NamedTuple):
+    """What a direct filter is given: samples of the IMU, and fixes in its own coordinates."""
+
+    imu: Array
+    """(N,6): angular rate (rad/s) and specific force (m/s²)."""
+    z: Array
+    """(E,6): scaled position (m) and velocity (m/s) of the antenna."""
+    r: Array
+    """(E,6): variances."""
+
+
+class Tracking(NamedTuple):
+    """Strong tracking of one filter (`strong_tracking`)."""
+
+    filter: int
+    """EKF, STEKF or RSTEKF."""
+    forgetting: float
+    threshold: float
+    """Of the chi-square test."""
+    memory: Array
+    """(7,): mean squares of the innovations, overwritten, and how many fixes they have seen."""
+
+
+class Work(NamedTuple):
+    """Arrays that are overwritten in every step."""
+
+    corrections: Array
+    """(6,): coning and sculling of the present IMU interval."""
+    part: Array
+    """(6,): their part of the present stretch."""
+    phi: Array
+    """(15,15)"""
+    rows: Array
+    """(16,15)"""
+    residual: Array
+    """(6,)"""
+    s: Array
+    """(36,): innovation covariance."""
+    h: Array
+    """(6,15)"""
+    r: Array
+    """(6,)"""
+    factor: Array
+    """(6,6)"""
+    white: Array
+    """(6,)"""
+    scratch: Array
+    """(4,15)"""
+
+
+def make_work() -> Work:
+    """Work of one filter, or of filters that take turns."""
+    m, n = MEASUREMENTS, N_STATES
+    shapes = (6, 6, (n, n), (n + 1, n), m, m * m, (m, n), m, (m, m), m, (4, n))
+    work = Work(*(np.zeros(shape) for shape in shapes))
+    np.fill_diagonal(work.phi, 1.0)
+    return work
+
+
+class Ekf(NamedTuple):
+    """One extended Kalman filter on a log, for `estimators.core.timeline.walk`."""
+
+    inputs: Inputs
+    motion: Motion
+    tracking: Tracking
+    state: Array
+    """(15,), overwritten, as is ``p`` (15,15)."""
+    p: Array
+    work: Work
+    keep: Any
+    """An `estimators.core.filter.Recording`."""
+    theta: Array
+    """(E,): test statistic of each fix, overwritten."""
+
+
+@njit(cache=True, nogil=True, _nrt=False)
 def propagate_covariance(p, phi, work):
     """P = Phi P Phi' in place; ``phi`` as `transition` makes it (diagonal below row 8). ``work`` (15,15) is scratch."""
     for i in range(9):
@@ -49,82 +129,66 @@ def propagate_covariance(p, phi, work):
             p[i, j] *= phi[i, i] * phi[j, j]
 
 
-@njit(cache=True)
-def imu_corrections(imu, k, dt, x, corrections):
-    """Coning and sculling of sample ``k`` (a whole interval ``dt``), biases of ``x`` removed, into ``corrections``."""
-    if k == 0:
-        corrections[:] = 0.0
-        return
-    now, last = imu[k], imu[k - 1]
-    coning, sculling = coning_sculling(
-        ((now[0] - x[12]) * dt, (now[1] - x[13]) * dt, (now[2] - x[14]) * dt),
-        ((now[3] - x[9]) * dt, (now[4] - x[10]) * dt, (now[5] - x[11]) * dt),
-        ((last[0] - x[12]) * dt, (last[1] - x[13]) * dt, (last[2] - x[14]) * dt),
-        ((last[3] - x[9]) * dt, (last[4] - x[10]) * dt, (last[5] - x[11]) * dt),
-    )
-    for i in range(3):
-        corrections[i] = coning[i]
-        corrections[3 + i] = sculling[i]
-
-
-@njit(cache=True)
-def predict(model, x, p, imu, corrections, dt, setting, held, noise, phi, work):
-    """State and covariance of one branch ``dt`` later, in place. ``work`` (16,15) is scratch."""
-    transition(model, x, imu, dt, setting, phi)
-    advance(model, x, imu, corrections, dt, setting, held, work[15])
+@njit(cache=True, nogil=True, _nrt=False)
+def carry(motion, x, p, step, phi, rows):
+    """State and covariance of one filter at the end of a `Step`, in place. ``phi`` (15,15), ``rows`` (16,15) are scratch."""
+    transition(motion, x, step, phi)
+    advance(motion, x, step, rows[15])
     for i in range(N_STATES):
-        x[i] = work[15, i]
-    propagate_covariance(p, phi, work)
-    add_process_noise(p, phi, noise, dt)
+        x[i] = rows[15, i]
+    propagate_covariance(p, phi, rows)
+    add_process_noise(p, phi, motion.noise, step.dt)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, _nrt=False)
+def has_lever(setting):
+    """Whether the antenna is somewhere else than the IMU."""
+    lever = setting.lever
+    return lever[0] != 0.0 or lever[1] != 0.0 or lever[2] != 0.0
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def arm_of(x, imu, setting):
+    """C_nb of state ``x``, and `lever_arm` there; metres of the scaled coordinates per metre north, east and down."""
+    place = setting.place
+    lat = place[0] + x[0] / place[2]
+    m = quat_to_matrix(euler_to_quat(x[6], x[7], x[8]))
+    north, east = earth.metres_per_radian(lat, place[1] - x[2])
+    rate = (imu[0] - x[12], imu[1] - x[13], imu[2] - x[14])
+    return m, lever_arm(m, setting.lever, rate, lat), (place[2] / north, place[3] / east, 1.0)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
 def antenna(x, imu, setting, out):
     """Position and velocity (6,) of the antenna at the end of the lever arm: what a fix should read."""
-    place, lever = setting.place, setting.lever
-    for i in range(6):
+    for i in range(MEASUREMENTS):
         out[i] = x[i]
-    if lever[0] == 0.0 and lever[1] == 0.0 and lever[2] == 0.0:
-        return
-    m = quat_to_matrix(euler_to_quat(x[6], x[7], x[8]))
-    arm = matrix_rotate(m, lever)
-    wx, wy, wz = imu[0] - x[12], imu[1] - x[13], imu[2] - x[14]
-    swing = (wy * lever[2] - wz * lever[1], wz * lever[0] - wx * lever[2], wx * lever[1] - wy * lever[0])
-    velocity = matrix_rotate(m, swing)
-    drag = cross(earth.earth_rate_n(place[0] + x[0] / place[2]), arm)
-    north, east = earth.metres_per_radian(place[0] + x[0] / place[2], place[1] - x[2])
-    out[0] += arm[0] * place[2] / north
-    out[1] += arm[1] * place[3] / east
-    out[2] += arm[2]
-    for i in range(3):
-        out[3 + i] += velocity[i] - drag[i]
+    if has_lever(setting):
+        _, (arm, sweep, drag), scale = arm_of(x, imu, setting)
+        for i in range(3):
+            out[i] += arm[i] * scale[i]
+            out[3 + i] += sweep[i] - drag[i]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def antenna_sensitivity(x, imu, setting, h):
-    """Rows 0 to 5 of ``h``: the Jacobian of `antenna` by the state (Earth curvature over the lever arm left out)."""
-    place, lever = setting.place, setting.lever
-    h[:COMMON] = 0.0
-    for i in range(COMMON):
+    """``h`` (6,15): the Jacobian of `antenna` by the state (Earth curvature and rate over the lever arm left out)."""
+    h[:] = 0.0
+    for i in range(MEASUREMENTS):
         h[i, i] = 1.0
-    if lever[0] == 0.0 and lever[1] == 0.0 and lever[2] == 0.0:
+    if not has_lever(setting):
         return
-    m = quat_to_matrix(euler_to_quat(x[6], x[7], x[8]))
-    arm = matrix_rotate(m, lever)
-    wx, wy, wz = imu[0] - x[12], imu[1] - x[13], imu[2] - x[14]
-    swing = (wy * lever[2] - wz * lever[1], wz * lever[0] - wx * lever[2], wx * lever[1] - wy * lever[0])
-    velocity = matrix_rotate(m, swing)
+    m, (arm, sweep, _), scale = arm_of(x, imu, setting)
+    lever = setting.lever
     axes = euler_error_matrix(x[6], x[7], x[8])
-    north, east = earth.metres_per_radian(place[0] + x[0] / place[2], place[1] - x[2])
-    scale = (place[2] / north, place[3] / east, 1.0)
     for k in range(3):
         a, b, c = axes[0][k], axes[1][k], axes[2][k]
         h[0, 6 + k] = (b * arm[2] - c * arm[1]) * scale[0]
         h[1, 6 + k] = (c * arm[0] - a * arm[2]) * scale[1]
         h[2, 6 + k] = a * arm[1] - b * arm[0]
-        h[3, 6 + k] = b * velocity[2] - c * velocity[1]
-        h[4, 6 + k] = c * velocity[0] - a * velocity[2]
-        h[5, 6 + k] = a * velocity[1] - b * velocity[0]
+        h[3, 6 + k] = b * sweep[2] - c * sweep[1]
+        h[4, 6 + k] = c * sweep[0] - a * sweep[2]
+        h[5, 6 + k] = a * sweep[1] - b * sweep[0]
     for i in range(3):
         row = m[i]
         h[3 + i, 12] = row[1] * lever[2] - row[2] * lever[1]
@@ -132,96 +196,103 @@ def antenna_sensitivity(x, imu, setting, h):
         h[3 + i, 14] = row[0] * lever[1] - row[1] * lever[0]
 
 
-@njit(cache=True)
-def correct(filter_code, x, p, z, r, imu, setting, tracking, fixes, memory, buffers):
-    """GNSS update in place by EKF, STEKF or RSTEKF (`strong_tracking`). Returns (theta, log likelihood, fading factor).
+@njit(cache=True, nogil=True, _nrt=False)
+def take_fix(tracking, x, p, seen, setting, work):
+    """GNSS update in place by EKF, STEKF or RSTEKF. Returns (theta, log likelihood, fading factor).
 
-    ``tracking`` = (rho, chi-square threshold); ``memory`` (6,) carries Y; ``fixes``: how many came before. ``buffers`` =
-    (residual (6,), h (6,15), covariance (6,6), factor (6,6), white (6,), scratch (7,15)): the first three keep what
-    the update saw, the covariance with the fading in it. theta is tested before fading, the likelihood taken after.
+    ``seen`` = (z (6,), variances (6,), IMU sample (6,)). ``work.residual`` and ``work.s`` keep what the update saw, the
+    fading in it. theta is tested before fading, the likelihood taken after.
     """
-    residual, h, covariance, factor, white, scratch = buffers
-    antenna(x, imu, setting, white)
-    for i in range(COMMON):
-        residual[i] = z[i] - white[i]
+    z, r, imu = seen
+    residual, h, s = work.residual, work.h, work.s.reshape((MEASUREMENTS, MEASUREMENTS))
+    antenna(x, imu, setting, work.white)
+    for i in range(MEASUREMENTS):
+        residual[i] = z[i] - work.white[i]
     antenna_sensitivity(x, imu, setting, h)
-    kalman.innovation_covariance(p, h, r, covariance, scratch)
-    theta, log_det = strong_tracking.whiten(covariance, residual, COMMON, factor, white)
-    fading = 1.0
-    square = theta
-    if filter_code != strong_tracking.EKF:
-        strong_tracking.smooth_innovations(memory, residual, tracking[0], fixes == 0)
-        if filter_code == strong_tracking.STEKF or theta > tracking[1]:
-            fading = strong_tracking.fading_factor(memory, covariance, r)
+    innovation_covariance(p, h, r, s, work.scratch)
+    theta, log_det = whiten(s, residual, work.factor, work.white)
+    fading, square = 1.0, theta
+    if tracking.filter != strong_tracking.EKF:
+        mean_square = tracking.memory[:MEASUREMENTS]
+        strong_tracking.smooth_innovations(
+            mean_square, residual, tracking.forgetting, tracking.memory[MEASUREMENTS] == 0.0
+        )
+        tracking.memory[MEASUREMENTS] += 1.0
+        if tracking.filter == strong_tracking.STEKF or theta > tracking.threshold:
+            fading = strong_tracking.fading_factor(mean_square, s, r)
         if fading > 1.0:
-            strong_tracking.fade(p, fading, scratch[0])
-            kalman.innovation_covariance(p, h, r, covariance, scratch)
-            square, log_det = strong_tracking.whiten(covariance, residual, COMMON, factor, white)
-    kalman.update(x, p, residual, h, r, covariance, scratch)
+            strong_tracking.fade(p, fading, work.scratch[0])
+            innovation_covariance(p, h, r, s, work.scratch)
+            square, log_det = whiten(s, residual, work.factor, work.white)
+    update(x, p, residual, h, r, work.scratch)
+    wrap_angles(x)
+    return theta, -0.5 * (square + log_det + MEASUREMENTS * np.log(2.0 * np.pi)), fading
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def wrap_angles(x):
+    """Roll, pitch and yaw of a state into [-pi, pi), in place."""
     for i in range(6, 9):
         x[i] = wrap(x[i])
-    likelihood = -0.5 * (square + log_det + COMMON * np.log(2.0 * np.pi))
-    return theta, likelihood, fading
 
 
-@njit(cache=True)
-def store(k, x, p, states, variances):
-    """Row ``k``: the state, and the variances with the attitude as a rotation vector in n."""
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def begin(model, k, whole):
+    """Open IMU sample ``k``: coning and sculling of its interval (s), biases of the state removed."""
+    x, corrections = model.state, model.work.corrections
+    if k == 0:
+        corrections[:] = 0.0
+        return
+    now, last = model.inputs.imu[k], model.inputs.imu[k - 1]
+    coning, sculling = coning_sculling(
+        ((now[0] - x[12]) * whole, (now[1] - x[13]) * whole, (now[2] - x[14]) * whole),
+        ((now[3] - x[9]) * whole, (now[4] - x[10]) * whole, (now[5] - x[11]) * whole),
+        ((last[0] - x[12]) * whole, (last[1] - x[13]) * whole, (last[2] - x[14]) * whole),
+        ((last[3] - x[9]) * whole, (last[4] - x[10]) * whole, (last[5] - x[11]) * whole),
+    )
+    for i in range(3):
+        corrections[i] = coning[i]
+        corrections[3 + i] = sculling[i]
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def stretch(model, k, dt, part):
+    """The `Step` of ``dt`` (s) within IMU sample ``k``, ``part`` of its interval."""
+    work = model.work
+    for i in range(6):
+        work.part[i] = part * work.corrections[i]
+    return Step(model.inputs.imu[k], work.part, dt)
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def record(model, k):
+    """Keep the state, and sigmas with the attitude as a rotation vector in n."""
+    x, p, keep = model.state, model.p, model.keep
+    note_sample(keep, model, k)
     axes = euler_error_matrix(x[6], x[7], x[8])
-    for i in range(N_STATES):
-        states[k, i] = x[i]
-        variances[k, i] = p[i, i]
     for i in range(3):
         a = axes[i]
-        variances[k, 6 + i] = (
+        keep.std[k, 6 + i] = np.sqrt(
             a[0] * (a[0] * p[6, 6] + 2.0 * (a[1] * p[6, 7] + a[2] * p[6, 8]))
             + a[1] * (a[1] * p[7, 7] + 2.0 * a[2] * p[7, 8])
             + a[2] * a[2] * p[8, 8]
         )
 
 
-@njit(cache=True)
-def filter_log(start, t, imu, gnss_t, gnss_z, gnss_r, x, p, filter_code, noise, setting, tracking, every, out):
-    """One extended Kalman filter with the accelerated model over a whole log; ``x``, ``p`` start it and are overwritten.
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def predict(model, k, dt, part):
+    """Carry the filter ``dt`` (s) on within IMU sample ``k``."""
+    carry(model.motion, model.state, model.p, stretch(model, k, dt, part), model.work.phi, model.work.rows)
 
-    ``out`` = (states (N,15), variances (N,15), snapshots (K,15,15), residuals (M,6), innovation covariances (M,6,6),
-    figures (M,2): test statistic and fading factor). Snapshots follow every ``every``-th sample.
-    """
-    states, variances, snapshots, residuals, covariances, figures = out
-    phi, work = np.eye(N_STATES), np.empty((N_STATES + 1, N_STATES))
-    corrections, part, held, memory = np.zeros(6), np.zeros(6), np.zeros(3), np.zeros(COMMON)
-    buffers = (
-        np.empty(COMMON),
-        np.zeros((COMMON, N_STATES)),
-        np.empty((COMMON, COMMON)),
-        np.empty((COMMON, COMMON)),
-        np.empty(COMMON),
-        np.empty((COMMON + 1, N_STATES)),
-    )
-    now, g = start, 0
-    for k in range(t.shape[0]):
-        whole = t[k] - now
-        imu_corrections(imu, k, whole, x, corrections)
-        while True:
-            fix = g < gnss_t.shape[0] and gnss_t[g] <= t[k] + SAME_TIME
-            dt = min(gnss_t[g], t[k]) - now if fix else t[k] - now
-            if dt > SAME_TIME:
-                for i in range(6):
-                    part[i] = corrections[i] * dt / whole
-                predict(ACCELERATED, x, p, imu[k], part, dt, setting, held, noise, phi, work)
-                now += dt
-            if not fix:
-                break
-            theta, _, fading = correct(
-                filter_code, x, p, gnss_z[g], gnss_r[g], imu[k], setting, tracking, g, memory, buffers
-            )
-            residuals[g] = buffers[0]
-            covariances[g] = buffers[2]
-            figures[g, 0] = theta
-            figures[g, 1] = fading
-            g += 1
-        now = t[k]
-        store(k, x, p, states, variances)
-        if (k + 1) % every == 0:
-            snapshots[(k + 1) // every - 1] = p
-    return g
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def correct(model, k, e):
+    """Use fix ``e``, which lies within IMU sample ``k``."""
+    inputs = model.inputs
+    seen = inputs.z[e], inputs.r[e], inputs.imu[k]
+    theta, _, fading = take_fix(model.tracking, model.state, model.p, seen, model.motion.setting, model.work)
+    model.theta[e] = theta
+    note_update(model.keep, model, e, MEASUREMENTS, fading)
+
+
+steps(Ekf, begin, predict, correct, record)

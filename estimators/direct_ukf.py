@@ -1,16 +1,16 @@
 """`direct-ukf`: loosely coupled INS/GNSS by a 15-state total-state unscented Kalman filter.
 
-The IMM-RSTEKF paper (2023), which compares its filter with it; loop in `ukf_kernels`. Coordinates as `direct`.
+The IMM-RSTEKF paper (2023), which compares its filter with it; steps in `ukf_kernels`. Coordinates as `direct`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from estimators.direct import DirectFilter
+from estimators.direct import DirectFilter, DirectProblem
 from testbed.records import NavSolution, SensorLog
 
 
@@ -26,6 +26,7 @@ class DirectUkf(DirectFilter):
     kappa: float = 0.0
 
     name: ClassVar[str] = "direct-ukf"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = DirectFilter.parameter_space | {
         "alpha": (1e-3, 2.0, "log"),
         "beta": (0.0, 4.0, "linear"),
@@ -34,13 +35,20 @@ class DirectUkf(DirectFilter):
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no GNSS."""
-        from estimators.ukf_kernels import filter_log
+        from estimators.core.timeline import walk
 
         task = self.problem(log)
-        figures = np.full((len(task.gnss_t), 1), np.nan)
-        timeline, fixes = (task.start, task.t, task.imu), (task.gnss_t, task.gnss_z, task.gnss_r)
-        parameters = (self.alpha, self.beta, self.kappa)
-        arrays = (*task.outputs, figures)
-        x, p = task.x.copy(), task.p.copy()
-        used = filter_log(*timeline, *fixes, x, p, task.noise, task.setting, parameters, task.every, arrays)
-        return task.solution(used, {"test_statistic": (task.gnss_t[:used], figures[:used, 0])})
+        model, line = make_ukf(task, self.alpha, self.beta, self.kappa), task.timeline()
+        walk(line, model, len(task.t))
+        used = int(line.place[1])
+        return task.solution(used, {"test_statistic": (task.gnss_t[:used], model.theta[:used])})
+
+
+def make_ukf(task: DirectProblem, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0) -> Any:
+    """A `ukf_kernels.Ukf` at the start of a task."""
+    from estimators.direct_kernels import make_work
+    from estimators.ukf_kernels import Ukf, make_points, make_spread
+
+    spread, theta = make_spread(15, alpha, beta, kappa), np.full(len(task.gnss_t), np.nan)
+    arrays = (task.x.copy(), task.p.copy(), make_work(), make_points(), task.keep, theta)
+    return Ukf(task.inputs, task.motion, spread, *arrays)

@@ -1,7 +1,7 @@
 """`imm-ekf`, `imm-rstekf`: interacting multiple models over the direct filters, any list of (model, filter) branches.
 
 The IMM-RSTEKF paper (2023): three branches (constant velocity, coordinated turn, accelerated) and their transition
-probabilities by default; loop in `imm_kernels`. Coordinates as `direct`; SI units and radians inside.
+probabilities by default; steps in `imm_kernels`. Coordinates as `direct`; SI units and radians inside.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.direct import DirectFilter, check_range, chi_square_threshold
+from estimators.direct import MEASUREMENTS, DirectFilter, DirectProblem, check_range, chi_square_threshold
 from testbed.errors import InputError, nearest
 from testbed.records import NavSolution, SensorLog
 
@@ -103,6 +103,7 @@ class ImmEkf(DirectFilter):
     """alpha of the chi-square test of refined strong tracking."""
 
     name: ClassVar[str] = "imm-ekf"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
     filter_name: ClassVar[str] = "ekf"
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = DirectFilter.parameter_space | {
         "stay_probability": (0.0, 1.0, "linear"),
@@ -167,37 +168,80 @@ class ImmEkf(DirectFilter):
 
         Extras at the fixes, one column per branch: ``mode_probability``, ``test_statistic``, ``fading_factor``.
         """
-        from estimators.imm_kernels import Aiding, filter_log
+        from estimators.core.timeline import walk
+
+        task = self.problem(log)
+        model, line = self.model(task), task.timeline()
+        walk(line, model, len(task.t))
+        used = int(line.place[1])
+        names = ("mode_probability", "test_statistic", "fading_factor")
+        extras = {name: (task.gnss_t[:used], model.figures[:used, i]) for i, name in enumerate(names)}
+        return replace(task.solution(used, extras), extra_names=dict.fromkeys(extras, tuple(self.branch_names())))
+
+    def model(self, task: DirectProblem) -> Any:
+        """A `imm_kernels.Bank` at the start of a task: its branches have interacted once."""
+        from estimators import imm_kernels as kernels
+        from estimators.direct_kernels import Tracking, make_work
+
+        branches, count = self._branches(task), len(self.branches)
+        modes = kernels.Modes(self.transition(), self.probability(), np.zeros(count))
+        shapes = (
+            count,
+            (count, 15),
+            (count, 15, 15),
+            count,
+            (count, MEASUREMENTS),
+            (count, MEASUREMENTS, MEASUREMENTS),
+        )
+        mixing = kernels.Mixing(*(np.zeros(shape) for shape in shapes))
+        held = np.zeros(3), np.zeros(3), task.x[3:6].copy(), np.zeros(1)
+        kernels.interact(modes, branches, mixing)
+        return kernels.Bank(
+            task.inputs,
+            task.motion.setting,
+            branches,
+            modes,
+            (Tracking(0, self.forgetting, chi_square_threshold(self.significance), np.zeros(0)), self._aiding()),
+            kernels.Acceleration(self.manoeuvre_time_s, *held),
+            task.x.copy(),
+            task.p.copy(),
+            mixing,
+            make_work(),
+            task.keep,
+            np.full((len(task.gnss_t), 3, count), np.nan),
+        )
+
+    def _branches(self, task: DirectProblem) -> Any:
+        from estimators.imm_kernels import Branches
         from estimators.motion_models import MODELS
         from estimators.strong_tracking import FILTERS
 
-        task, bank = self.problem(log), self.bank()
-        noise = np.tile(task.noise, (len(bank), 1))
+        bank, count = self.bank(), len(self.branches)
+        noise = np.tile(task.motion.noise, (count, 1))
         for row, branch in zip(noise, bank, strict=True):
             row[:6] *= branch.noise_scale**2
             velocity_noise = VELOCITY_NOISE[branch.model] if branch.velocity_noise is None else branch.velocity_noise
             row[12] = velocity_noise**2
-        branches = (
+        return Branches(
             np.array([MODELS[branch.model] for branch in bank]),
             np.array([FILTERS[branch.filter or self.filter_name] for branch in bank]),
             np.array([branch.model == "cv" if branch.angle_aiding is None else branch.angle_aiding for branch in bank]),
             noise,
+            np.tile(task.x, (count, 1)),
+            np.tile(task.p, (count, 1, 1)),
+            np.zeros((count, MEASUREMENTS + 1)),
         )
-        aiding = Aiding(
+
+    def _aiding(self) -> Any:
+        from estimators.imm_kernels import Aiding
+
+        return Aiding(
             np.radians(self.tilt_std_deg) ** 2,
             np.radians(self.course_std_deg) ** 2,
             self.gravity_tolerance,
             np.radians(self.rate_limit_dps),
             self.minimum_speed_mps,
         )
-        options = ((self.forgetting, chi_square_threshold(self.significance)), aiding, self.manoeuvre_time_s)
-        figures = np.full((len(task.gnss_t), 3, len(bank)), np.nan)
-        timeline, fixes = (task.start, task.t, task.imu), (task.gnss_t, task.gnss_z, task.gnss_r)
-        belief = (branches, self.probability(), self.transition(), task.setting, options, task.every)
-        used = filter_log(*timeline, *fixes, task.x.copy(), task.p.copy(), *belief, (*task.outputs, figures))
-        names = ("mode_probability", "test_statistic", "fading_factor")
-        extras = {name: (task.gnss_t[:used], figures[:used, i]) for i, name in enumerate(names)}
-        return replace(task.solution(used, extras), extra_names=dict.fromkeys(extras, tuple(self.branch_names())))
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from estimators.aiding.gnss import MINIMUM_STD, require_gnss
 from estimators.core.composition import Composition, Prepared, prepare, run
+from estimators.core.stepwise import Stepwise
 from testbed.errors import InputError
 from testbed.records import NavSolution, SensorLog, Trajectory
 
@@ -69,10 +70,18 @@ class IndirectKf:
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no GNSS."""
+        return run(self.prepared(log))
+
+    def start(self, log: SensorLog) -> Stepwise:
+        """The filter at the start of a log, to be led step by step. Raises InputError when it has no GNSS."""
+        return Stepwise(self.prepared(log))
+
+    def prepared(self, log: SensorLog) -> Prepared:
+        """What a run on this log starts from. Raises InputError when it has no GNSS."""
         require_gnss(log, self.name)
         prepared = prepare(Composition(), log)
         white, drive, r = self.noise(prepared)
-        return run(replace(prepared, white=white, drive=drive, r=r))
+        return replace(prepared, white=white, drive=drive, r=r)
 
     def noise(self, prepared: Prepared) -> tuple[Array, Array, Array]:
         """Spectral densities (6,) of the IMU and (6,) of what drives the biases; noise variances (E,6) of the fixes."""

@@ -18,6 +18,7 @@ class Ins:
     """Integrates the IMU from ``log.initial``; the initial bias estimates are subtracted throughout."""
 
     name: ClassVar[str] = "ins"
+    sensors: ClassVar[tuple[str, ...]] = ("imu",)
 
     def run(self, log: SensorLog) -> NavSolution:
         """Navigate at the IMU times. There is no covariance: ``std`` is None."""

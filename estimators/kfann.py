@@ -68,6 +68,7 @@ class Ann(Learner):
     """
 
     name: ClassVar[str] = "ann"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
 
     def run(self, log: SensorLog) -> NavSolution:
         """Train at each outage on all fixes before it; the position in the outage is INS minus network."""
@@ -97,6 +98,7 @@ class Kfann(Learner):
     pseudo_noise: Literal["gnss", "residual"] = "gnss"
     """Standard deviation of the pseudo-measurements: the receiver's, or the RMS of the networks' training residuals."""
     name: ClassVar[str] = "kfann"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -2,12 +2,15 @@
 
 Source: "Error Rate Reduction of a Low-Cost Integrated Navigation System Using Neural Networks" (2018); error model of
 Titterton & Weston, 2nd ed., chapter 12. NED, SI units and radians; errors are INS minus truth.
+
+It shares the time line, the update and the recording of `estimators.core`, and keeps a state of its own: the filter from
+parts feeds its estimates back into the INS at every fix, which is what the paper's open loop is compared with.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +20,9 @@ from testbed import earth
 from testbed.errors import InputError
 from testbed.records import NAVIGATION_STATES, GnssFixes, Innovations, NavSolution, SensorLog
 from testbed.rotations import quats_to_matrices
+
+if TYPE_CHECKING:
+    from estimators.core.filter import Recording
 
 Array = NDArray[np.float64]
 
@@ -36,7 +42,11 @@ class FreeIns:
         return lla, np.column_stack([np.interp(t, self.t, column) for column in self.velocity.T])
 
     def lever_arm(self, t: Array, lever: Array) -> tuple[Array, Array]:
-        """The arm ``lever`` (3,) of the body in n at times ``t`` (M,3), m, and how fast its end moves (M,3), m/s."""
+        """The arm ``lever`` (3,) of the body in n at times ``t`` (M,3), m, and how fast its end moves (M,3), m/s.
+
+        From the attitudes alone, as the paper's filter has the INS's outputs and no IMU: `estimators.aiding.gnss` takes the
+        sweep from the gyro, which differs by what the Earth turns and by the sample's own noise (1e-4 m/s and more).
+        """
         arm = quats_to_matrices(self.q_nb) @ lever
         sweep = np.gradient(arm, self.t, axis=0)
         return tuple(np.column_stack([np.interp(t, self.t, c) for c in x.T]) for x in (arm, sweep))  # type: ignore[return-value]
@@ -90,6 +100,8 @@ class Lkf9(OpenLoop):
     """In an outage: False propagates the error estimate; True starts the INS anew at the last corrected state and lets it
     run free (the paper's *Update INS*). ``std`` is the filter's either way."""
 
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
+
     def run(self, log: SensorLog) -> NavSolution:
         """Corrected navigation at the IMU times."""
         ins = free_ins(log)
@@ -139,35 +151,45 @@ def gnss_measurements(ins: FreeIns, gnss: GnssFixes) -> Measurements:
 def run_filter(settings: OpenLoop, log: SensorLog, ins: FreeIns, fed: Measurements) -> NavSolution:
     """Run the kernel and subtract its estimates from the INS. Innovations are those of the complete fixes only."""
     from estimators import lkf9_kernels
+    from estimators.core.filter import empty_recording
+    from estimators.core.timeline import make_timeline, walk
 
     imu, radius = log.imu, settings.earth_radius_m
     rate = imu.spec.rate_hz if settings.process_noise == "printed" else 1.0
-    noise = (
-        rate * (settings.accel_noise_scale * imu.spec.accel.white_noise) ** 2,
-        rate * (settings.gyro_noise_scale * imu.spec.gyro.white_noise) ** 2,
+    noise = np.array(
+        [
+            rate * (settings.accel_noise_scale * imu.spec.accel.white_noise) ** 2,
+            rate * (settings.gyro_noise_scale * imu.spec.gyro.white_noise) ** 2,
+        ]
     )
     scale = np.array([1.0, 1.0, 1.0, radius, radius, 1.0])
     every = max(1, round(imu.spec.rate_hz))
-    x, variances, innovations, covariances, snapshots = lkf9_kernels.run(
-        ins.t, imu.accel, ins.lla, ins.velocity, ins.q_nb, fed.t, fed.value * scale, (fed.std * scale) ** 2, fed.first,
-        initial_covariance(log, radius), noise, radius, every,
+    sizes = lkf9_kernels.N_STATES, lkf9_kernels.N_STATES, lkf9_kernels.N_ROWS
+    kept = empty_recording(len(imu.t), len(fed.t), sizes, every)
+    rows = lkf9_kernels.FreeRows(imu.accel, ins.lla, ins.velocity, ins.q_nb)
+    differences = lkf9_kernels.Differences(fed.value * scale, (fed.std * scale) ** 2, fed.first)
+    p = initial_covariance(log, radius)
+    line = make_timeline(ins.t[0], ins.t[1:], fed.t)
+    walk(line, lkf9_kernels.make_filter(rows, differences, noise, radius, p, kept), len(imu.t))
+    snapshots = np.arange(every - 1, len(imu.t), every)
+    return corrected(
+        ins, kept.state, radius,
+        std=_bench_sigmas(kept.std, ins.lla[1:, 0]),
+        covariance_t=imu.t[snapshots],
+        covariance=_bench_covariance(kept.covariance, ins.lla[snapshots + 1, 0]),
+        innovations={"gnss": _innovations(ins, fed, kept)},
+        states=NAVIGATION_STATES,
     )  # fmt: skip
-    full = fed.first == 0
+
+
+def _innovations(ins: FreeIns, fed: Measurements, kept: Recording) -> Innovations:
+    """Those of the complete fixes, position first, in metres NED."""
+    full, order = fed.first == 0, [3, 4, 5, 0, 1, 2]
     metres = np.ones((int(full.sum()), 6))
     metres[:, 4] = np.cos(np.interp(fed.t[full], ins.t, ins.lla[:, 0]))
     metres[:, 5] = -1.0
-    order = [3, 4, 5, 0, 1, 2]
-    covariance = covariances[full] * metres[:, :, None] * metres[:, None, :]
-    rows = np.arange(every - 1, len(imu.t), every)
-    nu = Innovations(fed.t[full], (innovations[full] * metres)[:, order], covariance[:, order][:, :, order])
-    return corrected(
-        ins, x, radius,
-        std=np.sqrt(_bench_diagonal(variances, ins.lla[1:, 0])),
-        covariance_t=imu.t[rows],
-        covariance=_bench_covariance(snapshots, ins.lla[rows + 1, 0]),
-        innovations={"gnss": nu},
-        states=NAVIGATION_STATES,
-    )  # fmt: skip
+    covariance = kept.innovation_covariance[full] * metres[:, :, None] * metres[:, None, :]
+    return Innovations(fed.t[full], (kept.innovation[full] * metres)[:, order], covariance[:, order][:, :, order])
 
 
 def initial_covariance(log: SensorLog, radius: float) -> Array:
@@ -210,11 +232,11 @@ def _restarted(log: SensorLog, solution: NavSolution, name: str) -> NavSolution:
     return replace(solution, lat=lla[:, 0], lon=lla[:, 1], h=lla[:, 2], v_n=v_n, q_nb=q_nb)
 
 
-def _bench_diagonal(variances: Array, lat: Array) -> Array:
-    """Variances (N,9) in the kernel's order and units to those of the bench (position NED, velocity, attitude)."""
-    place = variances[:, 6:9].copy()
-    place[:, 1] *= np.cos(lat) ** 2
-    return np.hstack([place, variances[:, 3:6], variances[:, :3]])
+def _bench_sigmas(sigma: Array, lat: Array) -> Array:
+    """Sigmas (N,9) in the kernel's order and units to those of the bench (position NED, velocity, attitude)."""
+    place = sigma[:, 6:9].copy()
+    place[:, 1] *= np.cos(lat)
+    return np.hstack([place, sigma[:, 3:6], sigma[:, :3]])
 
 
 def _bench_covariance(covariance: Array, lat: Array) -> Array:

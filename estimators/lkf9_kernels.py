@@ -1,25 +1,118 @@
-"""Kernels of the open-loop 9-state Kalman filter: error matrix, propagation and the loop over a log.
+"""Kernels of the open-loop 9-state Kalman filter on the common time line: its error matrix, and steps along a free INS.
 
 Equations: Titterton & Weston, *Strapdown Inertial Navigation Technology*, 2nd ed., eq. 12.28, spherical Earth of radius R.
 States: attitude error psi (C_ins = (I - [psi x]) C, rad), velocity error NED (m/s), then R dlat, R dlon (m, the scaled
 radians) and dh (m). SI units and radians; INS minus truth.
+
+Time line, update and recording are those of `estimators.core`. The propagation is not: the paper's filter is linear along
+an INS that nobody corrects, on a sphere, with I + a dt, and its x grows where the filter from parts always begins at zero.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from estimators.kalman import update
+from estimators.core.filter import Recording, note_sample, note_update
+from estimators.core.timeline import steps
+from estimators.core.update import innovation_covariance, update
 from testbed import earth
 from testbed.rotations import quat_multiply, quat_normalize, quat_rotate, rotvec_to_quat
+
+Array = NDArray[np.float64]
 
 N_STATES = 9
 N_ROWS = 6
 """Measurement rows: velocity NED, then R dlat, R dlon and dh."""
+PLAIN = 1.0
+"""What the recording calls an update that no policy changes."""
 
 
-@njit(cache=True)
+class FreeRows(NamedTuple):
+    """The uncorrected INS; row 0 is its start, row k + 1 the end of IMU sample k."""
+
+    accel: Array
+    """(N,3) specific force in b, m/s², mean over the intervals."""
+    lla: Array
+    """(N+1,3) rad, rad, m."""
+    velocity: Array
+    """(N+1,3) NED, m/s."""
+    quaternion: Array
+    """(N+1,4) q_nb."""
+
+
+class Differences(NamedTuple):
+    """Measurements INS minus GNSS."""
+
+    z: Array
+    """(M,6)"""
+    r: Array
+    """(M,6) noise variances."""
+    first: NDArray[np.int64]
+    """(M,) the rows from here on are used: 0 all, 3 the position, 6 none."""
+
+
+class Work(NamedTuple):
+    """Arrays that are overwritten in every step."""
+
+    a: Array
+    """(9,9) error matrix of the present sample."""
+    product: Array
+    """(9,9)"""
+    sum: Array
+    """(9,)"""
+    residual: Array
+    """(6,)"""
+    s: Array
+    """(36,) innovation covariance, of as many rows as are used."""
+    h: Array
+    """(6,9)"""
+    scalars: Array
+    """(6,2) see `update`."""
+    scratch: Array
+    """(4,9)"""
+
+
+class ErrorFilter(NamedTuple):
+    """The filter of the INS's errors, for `estimators.core.timeline.walk`."""
+
+    ins: FreeRows
+    events: Differences
+    noise: Array
+    """(2,) Q's diagonal for accelerometers and gyros, equal on the three axes, so that C drops out of G Q G'."""
+    radius: float
+    state: Array
+    """(9,) the estimated errors, overwritten."""
+    p: Array
+    """(9,9), overwritten."""
+    work: Work
+    keep: Recording
+
+
+def make_filter(
+    ins: FreeRows, events: Differences, noise: Array, radius: float, p: Array, keep: Recording
+) -> ErrorFilter:
+    """The filter at its start, where it knows of no error; ``p`` (9,9) initial covariance, overwritten."""
+    h = np.zeros((N_ROWS, N_STATES))
+    h[:, 3:] = np.eye(N_ROWS)
+    n, m = N_STATES, N_ROWS
+    work = Work(
+        a=np.zeros((n, n)),
+        product=np.zeros((n, n)),
+        sum=np.zeros(n),
+        residual=np.zeros(m),
+        s=np.zeros(m * m),
+        h=h,
+        scalars=np.zeros((m, 2)),
+        scratch=np.zeros((4, n)),
+    )
+    return ErrorFilter(ins, events, noise, radius, np.zeros(n), p, work, keep)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
 def error_matrix(lat, v_n, force, radius, a):
     """Fill ``a`` (9,9) so that x' = a x, at latitude (rad), velocity ``v_n`` (m/s) and specific force in n (m/s²).
 
@@ -56,82 +149,67 @@ def error_matrix(lat, v_n, force, radius, a):
     a[8, 5] = -1.0
 
 
-@njit(cache=True)
-def propagate(x, p, a, velocity_noise, attitude_noise, dt, work, state):
-    """x = Phi x and P = Phi (P + G Q G' dt) Phi' with Phi = I + a dt, in place.
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def begin(model, k, whole):
+    """Error matrix of IMU sample ``k``, at the INS's place when it opens and with the mean of its force over the sample."""
+    ins = model.ins
+    force_b, q = ins.accel[k], ins.quaternion
+    before, after = quat_rotate(q[k], force_b), quat_rotate(q[k + 1], force_b)
+    force = (0.5 * (before[0] + after[0]), 0.5 * (before[1] + after[1]), 0.5 * (before[2] + after[2]))
+    error_matrix(ins.lla[k, 0], ins.velocity[k], force, model.radius, model.work.a)
 
-    The noises are Q's diagonal for accelerometers and gyros, equal on the three axes, so that C drops out of G Q G'.
-    ``work`` (9,9) and ``state`` (9,) are overwritten.
-    """
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def predict(model, k, dt, part):
+    """x = Phi x and P = Phi (P + G Q G' dt) Phi' with Phi = I + a dt, in place."""
+    x, p, a, product, total_x = model.state, model.p, model.work.a, model.work.product, model.work.sum
     for i in range(3):
-        p[i, i] += attitude_noise * dt
-        p[3 + i, 3 + i] += velocity_noise * dt
-    n = N_STATES
-    for i in range(n):
+        p[i, i] += model.noise[1] * dt
+        p[3 + i, 3 + i] += model.noise[0] * dt
+    for i in range(N_STATES):
         total = x[i]
-        for j in range(n):
+        for j in range(N_STATES):
             total += dt * a[i, j] * x[j]
-            work[i, j] = p[i, j]
-        state[i] = total
-        for k in range(n):
-            step = dt * a[i, k]
+            product[i, j] = p[i, j]
+        total_x[i] = total
+        for m in range(N_STATES):
+            step = dt * a[i, m]
             if step != 0.0:
-                for j in range(n):
-                    work[i, j] += step * p[k, j]
-    x[:] = state
-    for i in range(n):
+                for j in range(N_STATES):
+                    product[i, j] += step * p[m, j]
+    for i in range(N_STATES):
+        x[i] = total_x[i]
+    for i in range(N_STATES):
         for j in range(i + 1):
-            total = work[i, j]
-            for k in range(n):
-                total += work[i, k] * dt * a[j, k]
+            total = product[i, j]
+            for m in range(N_STATES):
+                total += product[i, m] * dt * a[j, m]
             p[i, j] = total
             p[j, i] = total
 
 
-@njit(cache=True)
-def run(t, accel, lla, velocity, quaternion, times, z, r, first, p, noise, radius, every):
-    """The filter over a log: free INS rows and measurements in, its error estimates out.
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def correct(model, k, e):
+    """Use the rows of measurement ``e`` that count."""
+    events, work, x = model.events, model.work, model.state
+    first = events.first[e]
+    if first < N_ROWS:
+        count = N_ROWS - first
+        residual, h, r = work.residual[:count], work.h[first:], events.r[e, first:]
+        for i in range(count):
+            residual[i] = events.z[e, first + i] - x[3 + first + i]
+        innovation_covariance(model.p, h, r, work.s[: count * count].reshape((count, count)), work.scratch)
+        update(x, model.p, residual, h, r, work.scalars, work.scratch)
+        note_update(model.keep, model, e, count, PLAIN)
 
-    ``t`` (N+1,) with the start in row 0, as in ``lla``, ``velocity``, ``quaternion`` (radians, metres); ``accel`` (N,3).
-    ``times``, ``z``, ``r`` (M,6): measurements INS minus GNSS with noise variances; the rows from ``first`` (M,) on are
-    used (0: all, 3: position, 6: none). ``p`` (9,9) initial covariance, changed; ``noise`` (accelerometer, gyro).
-    Returns x (N,9), variances (N,9), innovations (M,6) and their covariances (M,6,6) before each update, NaN where a row
-    is not used, and covariances (K,9,9) after every ``every``-th IMU sample.
-    """
-    n, m = accel.shape[0], times.shape[0]
-    x = np.zeros(N_STATES)
-    states, variances = np.empty((n, N_STATES)), np.empty((n, N_STATES))
-    innovations, covariances = np.full((m, N_ROWS), np.nan), np.full((m, N_ROWS, N_ROWS), np.nan)
-    snapshots = np.empty((n // every, N_STATES, N_STATES))
-    a, work, state = np.empty((N_STATES, N_STATES)), np.empty((N_STATES, N_STATES)), np.empty(N_STATES)
-    h = np.zeros((N_ROWS, N_STATES))
-    for i in range(N_ROWS):
-        h[i, 3 + i] = 1.0
-    scratch = np.empty((N_ROWS + 1, N_STATES))
-    now, done = t[0], 0
-    for k in range(n):
-        before, after = quat_rotate(quaternion[k], accel[k]), quat_rotate(quaternion[k + 1], accel[k])
-        force = (0.5 * (before[0] + after[0]), 0.5 * (before[1] + after[1]), 0.5 * (before[2] + after[2]))
-        error_matrix(lla[k, 0], velocity[k], force, radius, a)
-        while done < m and times[done] <= t[k + 1]:
-            if times[done] > now:
-                propagate(x, p, a, noise[0], noise[1], times[done] - now, work, state)
-                now = times[done]
-            row = first[done]
-            if row < N_ROWS:
-                for i in range(row, N_ROWS):
-                    innovations[done, i] = z[done, i] - x[3 + i]
-                update(x, p, innovations[done, row:], h[row:], r[done, row:], covariances[done, row:, row:], scratch)
-            done += 1
-        if t[k + 1] > now:
-            propagate(x, p, a, noise[0], noise[1], t[k + 1] - now, work, state)
-            now = t[k + 1]
-        for i in range(N_STATES):
-            states[k, i] = x[i]
-            variances[k, i] = p[i, i]
-        if (k + 1) % every == 0:
-            snapshots[(k + 1) // every - 1] = p
-    return states, variances, innovations, covariances, snapshots
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def record(model, k):
+    """Keep what is known at the end of IMU sample ``k``."""
+    note_sample(model.keep, model, k)
+
+
+steps(ErrorFilter, begin, predict, correct, record)
 
 
 @njit(cache=True)

@@ -43,13 +43,34 @@ class Setting(NamedTuple):
     """(3,): from the IMU to the antenna in b, m."""
 
 
-@njit(cache=True)
-def advance(model, x, imu, corrections, dt, setting, held, out):
-    """State ``out`` after ``dt`` (s) of ``imu`` = (gyro, accel) means, from ``x``; the two must not be one array.
+class Motion(NamedTuple):
+    """How one filter, or one branch of a bank, believes that the vehicle moves."""
 
-    ``corrections`` (6,): coning and sculling of this stretch. ``held`` (3,): acceleration in n (m/s²), for `singer`.
-    """
-    place, centre, decay = setting.place, setting.centre, setting.decay
+    model: int
+    """One of `MODELS`."""
+    setting: Setting
+    noise: Array
+    """(13,): see `add_process_noise`."""
+    held: Array
+    """(3,): acceleration in n (m/s²), for `singer`."""
+
+
+class Step(NamedTuple):
+    """A stretch of an IMU interval."""
+
+    imu: Array
+    """(6,): means of angular rate (rad/s) and specific force (m/s²)."""
+    corrections: Array
+    """(6,): coning and sculling of this stretch, rad and m/s."""
+    dt: float
+    """s."""
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def advance(motion, x, step, out):
+    """State ``out`` (15,) at the end of a `Step`, from ``x`` (15,); the two must not be one array."""
+    model, (imu, corrections, dt), held = motion.model, step, motion.held
+    place, centre, decay = motion.setting.place, motion.setting.centre, motion.setting.decay
     angle = ((imu[0] - x[12]) * dt, (imu[1] - x[13]) * dt, (imu[2] - x[14]) * dt)
     push = ((imu[3] - x[9]) * dt, (imu[4] - x[10]) * dt, (imu[5] - x[11]) * dt)
     coning = (corrections[0], corrections[1], corrections[2])
@@ -74,7 +95,7 @@ def advance(model, x, imu, corrections, dt, setting, held, out):
         out[12 + i] = centre[3 + i] + keep_gyro * (x[12 + i] - centre[3 + i])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _velocity_end(model, x, imu, dt, lat, h, held):
     """Velocity after ``dt`` under the models that do not use the accelerometers."""
     vn, ve, vd = x[3], x[4], x[5]
@@ -86,13 +107,13 @@ def _velocity_end(model, x, imu, dt, lat, h, held):
     return (vn, ve, vd)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def yaw_rate(x, imu, lat, h):
     """Rate of the yaw angle (rad/s): the turn rate of the coordinated-turn model."""
     return euler_rates(x, imu, lat, h)[2]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def euler_rates(x, imu, lat, h):
     """Time derivatives of roll, pitch and yaw (rad/s): gyro less bias, less Earth and transport rate."""
     sr, cr = np.sin(x[6]), np.cos(x[6])
@@ -111,8 +132,8 @@ def euler_rates(x, imu, lat, h):
     )
 
 
-@njit(cache=True)
-def transition(model, x, imu, dt, setting, phi):
+@njit(cache=True, nogil=True, _nrt=False)
+def transition(motion, x, step, phi):
     """Phi = I + F dt, the Jacobian of `advance`, into ``phi`` (15,15), which is zero below row 8 off its diagonal.
 
     Left out: derivatives of w_ie, w_en and the radii by latitude and height, below 1e-8 in F at 300 m/s.
@@ -120,11 +141,13 @@ def transition(model, x, imu, dt, setting, phi):
     for i in range(9):
         for j in range(N_STATES):
             phi[i, j] = 0.0
-    place, decay = setting.place, setting.decay
+    model, (imu, _, dt) = motion.model, step
+    place, decay = motion.setting.place, motion.setting.decay
     lat, h = place[0] + x[0] / place[2], place[1] - x[2]
     rm, rn = earth.principal_radii(lat)
     tl, cl = np.tan(lat), np.cos(lat)
     north, east = 1.0 / (rm + h), 1.0 / (rn + h)
+    curved = (lat, h, tl, north, east)
     vn, ve = x[3], x[4]
 
     phi[0, 3] = dt * place[2] * north
@@ -133,9 +156,9 @@ def transition(model, x, imu, dt, setting, phi):
     phi[1, 2] = phi[1, 4] * east * ve
     phi[1, 0] = phi[1, 4] * tl * ve / place[2]
     phi[2, 5] = dt
-    _attitude_rows(x, imu, dt, lat, tl, north, east, phi)
+    _attitude_rows(x, imu, dt, curved, phi)
     if model == ACCELERATED:
-        _accelerated_rows(x, imu, dt, lat, h, tl, north, east, phi)
+        _accelerated_rows(x, imu, dt, curved, phi)
     elif model == CT:
         turn = yaw_rate(x, imu, lat, h)
         by_turn_n = -ve - dt * vn * turn
@@ -155,9 +178,13 @@ def transition(model, x, imu, dt, setting, phi):
         phi[12 + i, 12 + i] = np.exp(-dt * decay[1])
 
 
-@njit(cache=True)
-def _attitude_rows(x, imu, dt, lat, tl, north, east, phi):
-    """Rows 6 to 8 of F dt: Euler kinematics by attitude, velocity (transport rate) and gyro bias."""
+@njit(cache=True, nogil=True, _nrt=False)
+def _attitude_rows(x, imu, dt, curved, phi):
+    """Rows 6 to 8 of F dt: Euler kinematics by attitude, velocity (transport rate) and gyro bias.
+
+    ``curved``: latitude, height, tangent of latitude, and curvatures north and east (1/m).
+    """
+    lat, _, tl, north, east = curved
     sr, cr = np.sin(x[6]), np.cos(x[6])
     sp, cp = np.sin(x[7]), np.cos(x[7])
     sy, cy = np.sin(x[8]), np.cos(x[8])
@@ -186,9 +213,10 @@ def _attitude_rows(x, imu, dt, lat, tl, north, east, phi):
     phi[8, 13], phi[8, 14] = -dt * sr * sec, -dt * cr * sec
 
 
-@njit(cache=True)
-def _accelerated_rows(x, imu, dt, lat, h, tl, north, east, phi):
-    """Rows 3 to 5 of F dt of the strapdown velocity equation."""
+@njit(cache=True, nogil=True, _nrt=False)
+def _accelerated_rows(x, imu, dt, curved, phi):
+    """Rows 3 to 5 of F dt of the strapdown velocity equation; ``curved`` as in `_attitude_rows`."""
+    lat, h, tl, north, east = curved
     sr, cr = np.sin(x[6]), np.cos(x[6])
     sp, cp = np.sin(x[7]), np.cos(x[7])
     sy, cy = np.sin(x[8]), np.cos(x[8])
@@ -222,7 +250,7 @@ def _accelerated_rows(x, imu, dt, lat, h, tl, north, east, phi):
     phi[5, 2] = 2.0 * dt * earth.gravity(lat, h) / earth.A
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def add_process_noise(p, phi, noise, dt):
     """Add the process noise of ``dt`` to P, after ``phi`` = `transition` of that stretch.
 

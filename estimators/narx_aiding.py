@@ -81,6 +81,7 @@ class NarxAiding:
     """Name of stored networks; empty: those of `fit`, or on-line learning from nothing."""
 
     name: ClassVar[str] = "narx"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
     _trained: DriftNetworks | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -206,7 +207,7 @@ class NarxAiding:
                 outputs.append((stretch.t, output))
                 limits.append((stretch.t[0], limited))
             else:
-                flight.main.run_to(stretch.end, flight.fixes, keep=True)
+                flight.main.run_to(stretch.end, flight.fixes)
         return flight.solution(outputs, limits)
 
     def bridge(self, flight: _Flight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks) -> None:
@@ -232,10 +233,10 @@ class Nnckf(NarxAiding):
 
     def bridge(self, flight: _Flight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks) -> None:
         first, task = flight.main.row, flight.task
-        flight.main.run_to(stretch.end, keep=True)
+        flight.main.run_to(stretch.end)
         rows = slice(first, stretch.end)
         for k in range(6):
-            task.outputs[0][rows, k] += np.interp(task.t[rows], stretch.t, output[:, k])
+            task.keep.state[rows, k] += np.interp(task.t[rows], stretch.t, output[:, k])
 
 
 @dataclass(frozen=True)
@@ -262,8 +263,8 @@ class Nnakf(NarxAiding):
         if self.correlated:
             r = r * (len(z) - 1)
         if self.tune_p:
-            flight.main.p *= max(1.0, networks.growth)
-        flight.main.run_to(stretch.end, Fixes(stretch.t[1:], z[1:], np.tile(r, (len(z) - 1, 1))), keep=True)
+            flight.main.p[:] *= max(1.0, networks.growth)
+        flight.main.run_to(stretch.end, Fixes.of(stretch.t[1:], z[1:], np.tile(r, (len(z) - 1, 1))))
 
 
 class _Flight:
@@ -273,7 +274,7 @@ class _Flight:
         self.settings, self.log = settings, log
         self.task = DirectProblem.of(log, settings.name, (1.0,) * 4, (1.0, 1.0))
         self.main = WorkingCopy.of(self.task, settings.filter)
-        self.fixes = Fixes(self.task.gnss_t, self.task.gnss_z, self.task.gnss_r)
+        self.fixes = Fixes.of_task(self.task)
         self.free_states = self.free_readings = np.empty((0, 0))
         rate = log.gnss.spec.rate_hz if log.gnss is not None else 1.0
         self.epoch = 1.0 / rate
@@ -315,7 +316,7 @@ class _Flight:
         ``spread``: whether the drift's variance is wanted, which costs as much as all the rest.
         """
         free, first, rows = self.main.fork(), self.main.x.copy(), slice(self.main.row, stretch.end)
-        main, _ = self.main.run_to(stretch.end, self.fixes, keep=True)
+        main, _ = self.main.run_to(stretch.end, self.fixes)
         drift = self._drift(stretch, first, free, rows, spread)
         y = np.vstack(
             [np.zeros(6), self.settings.lacking(self, stretch.t[1:], _at(stretch.t[1:], self.task.t[rows], main))]
@@ -330,8 +331,8 @@ class _Flight:
     def _drift(self, stretch: Stretch, first: Array, free: WorkingCopy, rows: slice, spread: bool) -> Drift:
         t, grid, unknown = stretch.t, self.task.t[rows], np.full((len(stretch.t), 6), np.nan)
         if spread:
-            states, variances = free.run_to(stretch.end)
-            variance = np.vstack([np.zeros(6), _at(t[1:], grid, variances[:, :9])[:, :6]])
+            states, std = free.run_to(stretch.end)
+            variance = np.vstack([np.zeros(6), _at(t[1:], grid, std[:, :9] ** 2)[:, :6]])
         else:
             states, variance = free.coast_to(stretch.end), unknown
         at = np.vstack([first, _at(t[1:], grid, states)])
@@ -344,17 +345,13 @@ class _Flight:
 
         out = np.empty((len(states), 6))
         for k, i in enumerate(np.minimum(np.searchsorted(self.task.t, t), len(self.task.t) - 1)):
-            antenna(states[k], self.task.imu[i], self.task.setting, out[k])
+            antenna(states[k], self.task.inputs.imu[i], self.task.motion.setting, out[k])
         return out
 
     def solution(self, outputs: list[tuple[Array, Array]], limits: list[tuple[float, int]]) -> NavSolution:
         """The main copy's answer, with the networks' outputs and the count of what their guard limited."""
         used = int(np.searchsorted(self.fixes.t, self.task.t[-1] + 1e-7, "right"))
-        self.task.outputs[3][:used], self.task.outputs[4][:used] = (
-            self.fixes.residuals[:used],
-            self.fixes.covariances[:used],
-        )
-        extras = {"test_statistic": (self.fixes.t[:used], self.fixes.figures[:used, 0])}
+        extras = {"test_statistic": (self.fixes.t[:used], self.fixes.theta[:used])}
         if outputs:
             t, values = zip(*outputs, strict=True)
             extras["network_output"] = np.concatenate(t), np.concatenate(values)

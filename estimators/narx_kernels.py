@@ -1,26 +1,54 @@
 """The free copy of the NARX schemes: the direct filters' mechanization without a covariance. Kernels only.
 
-State, models and ``place`` as in `motion_models`; the arithmetic is that of `direct_kernels.predict`.
+State, models and ``place`` as in `motion_models`; begun and carried on like a `direct_kernels.Ekf`.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from estimators.direct_kernels import imu_corrections
-from estimators.motion_models import ACCELERATED, N_STATES, advance
+from estimators.core.timeline import steps
+from estimators.direct_kernels import Inputs, Work, begin, stretch
+from estimators.motion_models import N_STATES, Motion, advance
+
+Array = NDArray[np.float64]
 
 
-@njit(cache=True)
-def coast(start, t, imu, first, x, setting, states):
-    """States (rows,15) after IMU rows ``first`` on, without fixes; ``x`` starts them at time ``start`` and is overwritten."""
-    corrections, held = np.zeros(6), np.zeros(3)
-    now = start
-    for i in range(states.shape[0]):
-        k = first + i
-        imu_corrections(imu, k, t[k] - now, x, corrections)
-        advance(ACCELERATED, x, imu[k], corrections, t[k] - now, setting, held, states[i])
-        for j in range(N_STATES):
-            x[j] = states[i, j]
-        now = t[k]
+class Coasting(NamedTuple):
+    """A free run, for `estimators.core.timeline.walk`."""
+
+    inputs: Inputs
+    motion: Motion
+    state: Array
+    """(15,), overwritten."""
+    work: Work
+    states: Array
+    """(N,15): the state after each IMU sample, overwritten."""
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def predict(model, k, dt, part):
+    """Carry the state ``dt`` (s) on within IMU sample ``k``."""
+    moved = model.work.rows[0]
+    advance(model.motion, model.state, stretch(model, k, dt, part), moved)
+    for i in range(N_STATES):
+        model.state[i] = moved[i]
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def correct(model, k, e):
+    """There is nothing to correct by."""
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def record(model, k):
+    """Keep the state."""
+    for i in range(N_STATES):
+        model.states[k, i] = model.state[i]
+
+
+steps(Coasting, begin, predict, correct, record)

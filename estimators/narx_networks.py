@@ -133,14 +133,18 @@ class DriftNetworks:
 
     @classmethod
     def load(cls, path: Path) -> tuple[DriftNetworks, dict[str, Any]]:
-        """Read what `save` wrote, and its meta."""
+        """Read what `save` wrote, and its meta. Raises InputError for a file of something else."""
         parts, meta = load_networks(path)
-        own = meta["drift"]
-        inputs = tuple(tuple(names) for names in own["inputs"])
-        lags = tuple((int(ny), int(nu)) for ny, nu in own["lags"])
-        networks = tuple(Narx(parts[name], ny, nu) for name, (ny, nu) in zip(TARGETS, lags, strict=True))
-        structure = Structure(inputs, lags, own["neurons"], own["seed"])
-        return cls(structure, networks, np.array(own["mean"]), np.array(own["std"]), own["growth"]), meta
+        try:
+            own = meta["drift"]
+            inputs = tuple(tuple(names) for names in own["inputs"])
+            lags = tuple((int(ny), int(nu)) for ny, nu in own["lags"])
+            networks = tuple(Narx(parts[name], ny, nu) for name, (ny, nu) in zip(TARGETS, lags, strict=True))
+            structure = Structure(inputs, lags, own["neurons"], own["seed"])
+            mean, std = (np.array(own[key], dtype=float).reshape(6) for key in ("mean", "std"))
+            return cls(structure, networks, mean, std, float(own["growth"])), meta
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{path}: holds networks, but not the six of a drift ({error!r})") from None
 
 
 def select_inputs(

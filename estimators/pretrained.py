@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Iterable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -49,19 +48,26 @@ def weights_path(student: Any, log: SensorLog) -> Path:
 
 def prepare(student: Any, scenario: Any) -> None:
     """Train on the flights of ``[extra.training]`` and store the networks, unless that is done already."""
-    from estimators.networks.mlp import load_networks
     from testbed.training_flights import training_digest, training_flights
 
     digest, flights = training_digest(scenario), training_flights(scenario)
     path = weights_path(student, flights[0][0])
-    if path.exists() and load_networks(path)[1].get("training") == digest:
+    if _trained_on(path) == digest:
         return
     learner = replace(student)
     learner.fit(flights)
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    learner.store(unfinished, {"training": digest})
-    unfinished.replace(path)
+    learner.store(path, {"training": digest})
+
+
+def _trained_on(path: Path) -> str | None:
+    """What the networks in a file were trained on; None where there is none, or a damaged one, which is made again."""
+    from estimators.networks.mlp import load_networks
+
+    try:
+        return load_networks(path)[1].get("training")
+    except InputError:
+        return None
 
 
 def stored(student: Any, log: SensorLog) -> Path:

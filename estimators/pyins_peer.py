@@ -13,7 +13,7 @@ import numpy as np
 
 from estimators.aiding.gnss import MINIMUM_STD, require_gnss
 from estimators.blocks.imu import noise_model
-from testbed.errors import InputError
+from testbed.errors import InputError, MissingExtra
 from testbed.records import NavSolution, SensorLog
 from testbed.rotations import eulers_to_quats, quats_to_eulers
 
@@ -35,6 +35,7 @@ class PyIns:
 
     time_step_s: float = 0.1
     name: ClassVar[str] = "pyins"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
 
     def __post_init__(self) -> None:
         if not 0.0 < self.time_step_s <= 1.0:
@@ -70,7 +71,7 @@ def _pyins() -> tuple[Any, Any, Any]:
     try:
         from pyins import filters, inertial_sensor, measurements
     except ImportError:
-        raise InputError("estimator 'pyins' needs the package python-ins: install the extra 'peers'") from None
+        raise MissingExtra("estimator 'pyins' needs the package python-ins: install the extra 'peers'") from None
     return filters, measurements, inertial_sensor
 
 

@@ -18,7 +18,7 @@ flight, accelerometer biases in a model that does not use them) would grow witho
 FILTERS = {"ekf": EKF, "stekf": STEKF, "rstekf": RSTEKF}
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def smooth_innovations(mean_square, residual, forgetting, first):
     """``mean_square`` (m,) = diagonal of Y_k = (rho Y_{k-1} + v v') / (1 + rho), in place; Y_1 = v v'."""
     for i in range(mean_square.shape[0]):
@@ -26,7 +26,7 @@ def smooth_innovations(mean_square, residual, forgetting, first):
         mean_square[i] = square if first else (forgetting * mean_square[i] + square) / (1.0 + forgetting)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def fading_factor(mean_square, covariance, r):
     """L = max(1, tr(N (Y - R)) / tr(N H P H')), N = R^-1, of the common channels; ``covariance`` = H P H' + R."""
     excess, predicted = 0.0, 0.0
@@ -38,7 +38,7 @@ def fading_factor(mean_square, covariance, r):
     return max(1.0, excess / predicted)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def fade(p, factor, roots):
     """P = L P in place for a covariance (15,15) in the order of the states, short of `CEILING`. ``roots`` (15,) scratch.
 
@@ -50,25 +50,3 @@ def fade(p, factor, roots):
     for i in range(15):
         for j in range(15):
             p[i, j] *= roots[i] * roots[j]
-
-
-@njit(cache=True)
-def whiten(covariance, residual, count, factor, white):
-    """Lower Cholesky ``factor`` of the leading (count, count) block and ``white`` = factor^-1 residual.
-
-    Returns (v' S^-1 v, log det S) of that block.
-    """
-    square, log_det = 0.0, 0.0
-    for i in range(count):
-        for j in range(i + 1):
-            total = covariance[i, j]
-            for k in range(j):
-                total -= factor[i, k] * factor[j, k]
-            factor[i, j] = np.sqrt(total) if i == j else total / factor[j, j]
-        total = residual[i]
-        for k in range(i):
-            total -= factor[i, k] * white[k]
-        white[i] = total / factor[i, i]
-        square += white[i] * white[i]
-        log_det += 2.0 * np.log(factor[i, i])
-    return square, log_det

@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from estimators.aiding.gnss import require_gnss
+from estimators.core.stepwise import Stepwise
 from estimators.indirect_kf import IndirectKf
 from testbed.errors import InputError
 from testbed.records import NavSolution, SensorLog
@@ -27,11 +28,16 @@ class UpdateIns(IndirectKf):
     outage_after_s: float = 2.0
     keep_biases: bool = False
     name: ClassVar[str] = "update-ins"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.outage_after_s > 0.0:
             raise InputError(f"{self.name}: outage_after_s = {self.outage_after_s}, must be above 0 s")
+
+    def start(self, log: SensorLog) -> Stepwise:
+        """Raises InputError: what it does in an outage is no step of its filter."""
+        raise InputError(f"{self.name}: does not go step by step; start '{IndirectKf.name}'")
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log, then replace each outage by free integration. ``std`` in an outage is the filter's own."""

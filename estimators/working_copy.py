@@ -1,107 +1,132 @@
 """Working copies of a direct filter that run stretch by stretch: one that sees the fixes, one that runs free.
 
-A copy is the filter's state and covariance; the arithmetic is that of `direct_kernels` and `ukf_kernels`. Stretches are
-ranges of IMU rows. Coordinates, frames and units as `direct.DirectProblem`.
+A copy is a filter and its place on the time line of a log; the steps are those of `direct_kernels` and `ukf_kernels`.
+Stretches are ranges of IMU rows. Coordinates, frames and units as `direct.DirectProblem`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from estimators.direct import MEASUREMENTS, Array, DirectProblem
+from estimators.direct import MEASUREMENTS, Array, DirectProblem, make_ekf, make_keep
+from estimators.direct_ukf import make_ukf
 
 Kind = Literal["ekf", "ukf"]
 
-UNSCENTED = (1.0, 0.0, 0.0)
-"""alpha, beta, kappa of `direct-ukf`."""
 
-
-@dataclass(frozen=True)
-class Fixes:
-    """Measurements: ``t`` (M,), ``z`` (M,6), variances ``r`` (M,6), and what the filter made of them."""
+class Fixes(NamedTuple):
+    """Measurements in the filter's coordinates, and what it makes of them."""
 
     t: Array
+    """(M,)"""
     z: Array
+    """(M,6)"""
     r: Array
-    residuals: Array = field(init=False)
-    covariances: Array = field(init=False)
-    figures: Array = field(init=False)
+    """(M,6) variances."""
+    theta: Array
+    """(M,) test statistic."""
+    innovation: Array
+    """(M,6)"""
+    innovation_covariance: Array
+    """(M,6,6)"""
+    fading: Array
+    """(M,)"""
 
-    def __post_init__(self) -> None:
-        m = len(self.t)
-        for name, shape in (("residuals", (m, 6)), ("covariances", (m, 6, 6)), ("figures", (m, 2))):
-            object.__setattr__(self, name, np.full(shape, np.nan))
+    @classmethod
+    def of(cls, t: Array, z: Array, r: Array) -> Fixes:
+        """Measurements that no filter has seen yet."""
+        count, m = len(t), MEASUREMENTS
+        shapes = (count, (count, m), (count, m, m), count)
+        return cls(t, z, r, *(np.full(shape, np.nan) for shape in shapes))
+
+    @classmethod
+    def of_task(cls, task: DirectProblem) -> Fixes:
+        """A log's own; the innovations are kept in the task."""
+        keep, theta = task.keep, np.full(len(task.gnss_t), np.nan)
+        kept = keep.innovation, keep.innovation_covariance, keep.fading
+        return cls(task.gnss_t, task.inputs.z, task.inputs.r, theta, *kept)
+
+
+NO_FIXES = Fixes.of(np.empty(0), np.empty((0, MEASUREMENTS)), np.empty((0, MEASUREMENTS)))
 
 
 @dataclass
 class WorkingCopy:
-    """State ``x`` (15,) and covariance ``p`` (15,15) before IMU row ``row`` of a task."""
+    """A filter ``model`` of a task, before the IMU row that ``line`` stands at."""
 
     task: DirectProblem
-    kind: Kind
-    x: Array
-    p: Array
-    row: int = 0
+    model: Any
+    line: Any
 
     @classmethod
     def of(cls, task: DirectProblem, kind: Kind) -> WorkingCopy:
-        """The copy at the start of the task."""
-        return cls(task, kind, task.x.copy(), task.p.copy())
+        """The copy at the start of the task, which keeps what it finds there."""
+        return cls(task, make_ukf(task) if kind == "ukf" else make_ekf(task, "ekf", 1.0, np.inf), task.timeline())
+
+    @property
+    def row(self) -> int:
+        """The next IMU row."""
+        return int(self.line.place[0])
+
+    @property
+    def x(self) -> Array:
+        """State (15,) before that row."""
+        state: Array = self.model.state
+        return state
+
+    @property
+    def p(self) -> Array:
+        """Its covariance (15,15)."""
+        p: Array = self.model.p
+        return p
 
     def fork(self) -> WorkingCopy:
         """A second copy that starts here. It runs free, for which the EKF's mechanization is that of both filters."""
-        return WorkingCopy(self.task, "ekf", self.x.copy(), self.p.copy(), self.row)
+        model = make_ekf(self.task, "ekf", 1.0, np.inf)
+        model = model._replace(state=self.x.copy(), p=self.p.copy(), keep=make_keep(self.task.t, 0))
+        return WorkingCopy(self.task, model, self._own_line(self.task.gnss_t))
 
-    def run_to(self, row: int, fixes: Fixes | None = None, keep: bool = False) -> tuple[Array, Array]:
-        """Filter the IMU rows up to, not including, ``row``; returns states and variances (rows,15) after each of them.
+    def run_to(self, row: int, fixes: Fixes = NO_FIXES) -> tuple[Array, Array]:
+        """Filter the IMU rows up to, not including, ``row``; returns states and sigmas (rows,15) after each of them.
 
-        ``fixes`` before this copy's time are left out. ``keep``: write to the task's own arrays.
+        ``fixes`` before this copy's time are left out.
         """
-        kept, first, every = self.task.outputs, self.row, self.task.every
-        states, variances = (a[first:row] for a in kept[:2]) if keep else np.empty((2, row - first, 15))
-        while self.row < row:
-            # Snapshots follow whole multiples of `every` rows, wherever a stretch begins.
-            stop = min(row, (self.row // every + 1) * every) if self.row % every else row
-            part = slice(self.row - first, stop - first)
-            snapshots = np.empty(((stop - self.row) // every, 15, 15))
-            self._filter(stop, fixes, states[part], variances[part], snapshots)
-            if keep and self.row % every == 0:
-                kept[2][self.row // every :][: len(snapshots)] = snapshots
-            elif keep and stop % every == 0:
-                kept[2][stop // every - 1] = self.p
-            self.row = stop
-        return states, variances
+        from estimators.core.timeline import walk
+
+        first = self.row
+        self._use(fixes)
+        walk(self.line, self.model, row)
+        return self.model.keep.state[first:row], self.model.keep.std[first:row]
 
     def coast_to(self, row: int) -> Array:
         """Run the EKF's mechanization alone up to, not including, ``row``; returns states (rows,15). P stays behind."""
-        from estimators.narx_kernels import coast
+        from estimators.core.timeline import walk
+        from estimators.narx_kernels import Coasting
 
-        task, first = self.task, self.row
-        states = np.empty((row - first, 15))
-        coast(float(task.t[first - 1]) if first else task.start, task.t, task.imu, first, self.x, task.setting, states)
-        self.row = row
+        first, model = self.row, self.model
+        self._use(NO_FIXES)
+        walk(self.line, Coasting(model.inputs, model.motion, model.state, model.work, model.keep.state), row)
+        states: Array = model.keep.state[first:row]
         return states
 
-    def _filter(self, stop: int, fixes: Fixes | None, states: Array, variances: Array, snapshots: Array) -> None:
-        from estimators import direct_kernels, strong_tracking, ukf_kernels
+    def _use(self, fixes: Fixes) -> None:
+        """Take measurements from now on from ``fixes``."""
+        from estimators.core.timeline import SAME_TIME
 
-        task, rows = self.task, slice(self.row, stop)
-        t = task.t[rows]
-        start = float(task.t[self.row - 1]) if self.row else task.start
-        fixes = fixes or Fixes(np.empty(0), np.empty((0, MEASUREMENTS)), np.empty((0, MEASUREMENTS)))
-        same = direct_kernels.SAME_TIME
-        low = 0 if self.row == 0 else np.searchsorted(fixes.t, start + same, "right")
-        some = slice(int(low), int(np.searchsorted(fixes.t, t[-1] + same, "right")))
-        out = (states, variances, snapshots, fixes.residuals[some], fixes.covariances[some], fixes.figures[some])
-        timeline, given = (start, t, task.imu[rows]), (fixes.t[some], fixes.z[some], fixes.r[some])
-        if self.kind == "ukf":
-            ukf_kernels.filter_log(
-                *timeline, *given, self.x, self.p, task.noise, task.setting, UNSCENTED, task.every, out
-            )
-        else:
-            tracking = (1.0, np.inf)
-            model = (strong_tracking.EKF, task.noise, task.setting, tracking, task.every, out)
-            direct_kernels.filter_log(*timeline, *given, self.x, self.p, *model)
+        now = float(self.line.now[0])
+        self.line = self._own_line(fixes.t)
+        self.line.place[1] = np.searchsorted(fixes.t, now + (SAME_TIME if self.row else -SAME_TIME), "right")
+        keep = self.model.keep._replace(**{name: getattr(fixes, name) for name in KEPT})
+        inputs = self.model.inputs._replace(z=fixes.z, r=fixes.r)
+        self.model = self.model._replace(inputs=inputs, keep=keep, theta=fixes.theta)
+
+    def _own_line(self, event_t: Array) -> Any:
+        """A time line with these events that stands where this copy does."""
+        return self.line._replace(event_t=event_t, now=self.line.now.copy(), place=self.line.place.copy())
+
+
+KEPT = ("innovation", "innovation_covariance", "fading")
+"""What `Fixes` and a recording have in common."""

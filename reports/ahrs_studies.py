@@ -32,7 +32,7 @@ PHASES = ("cruise", "loiter")
 
 def learning_curve() -> None:
     """``learning-curve.csv`` and ``.png``: the curve that the shipped weights carry with them."""
-    from estimators.ahrs_lstm import load_weights
+    from estimators.ahrs_weights import load_weights
 
     metadata = load_weights("").metadata
     curve = metadata["learning_curve"]
@@ -134,7 +134,7 @@ def generalisation() -> None:
     """``generalisation.csv``: the learned gain where it was not trained, against the KF there, `VARIANT_RUNS` runs each."""
     from testbed.runner import run
     from testbed.scenario import load_scenario
-    from testbed.statistics import improvement
+    from testbed.scoring.effects import effect
 
     rows = []
     for variant in VARIANTS:
@@ -145,7 +145,7 @@ def generalisation() -> None:
         for metric in METRICS:
             part = values.loc[metric].reindex(range(VARIANT_RUNS))
             for label in [name for name in part.columns if name in ("LSTM", "adaptive KF")]:
-                gain = improvement(part[label].to_numpy(), part["KF"].to_numpy())
+                gain = effect(part[label].to_numpy(), part["KF"].to_numpy())
                 row = {"variant": variant, "metric": metric, "estimator": label, "kf_deg": part["KF"].mean()}
                 row |= {"deg": part[label].mean(), "runs": int(part[label].notna().sum())}
                 found = (gain.percent, gain.low, gain.high) if gain else (np.nan,) * 3

@@ -137,7 +137,7 @@ def summarise(rows: pd.DataFrame) -> pd.DataFrame:
     """variant, fed, runs, mean_m with its 95 % interval, median_m, and the mean over the outage's first seconds."""
     import pandas as pd
 
-    from testbed.statistics import describe
+    from testbed.scoring.statistics import describe
 
     out = []
     for (variant, fed), part in rows.groupby(["variant", "fed"], sort=False):

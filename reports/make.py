@@ -71,7 +71,7 @@ def main(names: list[str]) -> None:
     print(f"figures: {pictures.shrink(ROOT) / 1e6:.1f} MB")
     made = sorted(path.parent for path in ROOT.glob("*/report.json"))
     if made:
-        render_index(made, ROOT)
+        render_index(made, ROOT, replace_others=True)
 
 
 def make(name: str, variant: str | None, resume: bool = False) -> None:

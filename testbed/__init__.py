@@ -19,6 +19,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from testbed import kernel_cache
+
 if TYPE_CHECKING:
     from testbed.errors import FlightError, InputError, TestbedError
     from testbed.pipeline import fly, score, sense
@@ -58,6 +60,9 @@ __all__ = [
     "score",
     "sense",
 ]
+
+
+kernel_cache.use_folder()
 
 
 def __getattr__(name: str) -> Any:

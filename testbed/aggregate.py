@@ -6,6 +6,7 @@ envelopes.parquet``. All but the timings (and the seconds in ``runs.parquet``) a
 
 from __future__ import annotations
 
+import hashlib
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -14,11 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from testbed import claims, statistics
+from testbed.csv_text import csv_text
+from testbed.files import writing
 from testbed.records import Array
 from testbed.scenario import Scenario
+from testbed.scoring import statistics, verdicts
+from testbed.scoring.effects import effect
 from testbed.scoring.quantities import AXES, IMPROVED, NEES, NIS, TIME_METRIC, is_consistency
-from testbed.store import ColumnStore, Store, StoredRun, decode, writing
+from testbed.store import SCRATCH, ColumnStore, Store, StoredRun, decode
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -51,6 +55,9 @@ class _Pass:
     """What the one pass over the runs gathers."""
 
     cells: dict[Cell, int] = field(default_factory=dict)
+    counted: list[int] = field(default_factory=list)
+    """Numbers of the runs that are no copy of an earlier one: the rows of all statistics."""
+    seen: set[bytes] = field(default_factory=set)
     runs: list[tuple[int, str, str, float, int, str]] = field(default_factory=list)
     tests: dict[tuple[str, str], statistics.ConsistencySum] = field(default_factory=dict)
     series: dict[tuple[str, str], int] = field(default_factory=dict)
@@ -62,8 +69,11 @@ class _Pass:
 
 def aggregate(store: Store, scenario: Scenario, runs: Sequence[int], times: Array) -> Tables:
     """Write every table of the result. ``times`` are those of the envelopes."""
-    scratch = store.out / ".scratch"
-    values, series = ColumnStore(scratch / "values"), ColumnStore(scratch / "series", np.float32)
+    store.forget(["claims-timings.csv"])
+    written = [*(f"{name}.csv" for name in CSV_TABLES), "metrics.parquet", "runs.parquet", "envelopes.parquet"]
+    store.claim([*written, *SCRATCH])
+    values = ColumnStore(store.out / SCRATCH[0])
+    series = ColumnStore(store.out / SCRATCH[1], np.float32)
     try:
         gathered = _gather(store, scenario, runs, values, series, len(times))
         with warnings.catch_warnings():
@@ -80,13 +90,13 @@ def aggregate(store: Store, scenario: Scenario, runs: Sequence[int], times: Arra
     finally:
         values.close()
         series.close()
-        scratch.rmdir()
+        store.forget(SCRATCH)
     return tables
 
 
 def write_csv(store: Store, name: str, frame: pd.DataFrame) -> None:
     """Ten significant digits, so that equal numbers are equal bytes."""
-    store.write(name, frame.to_csv(index=False, float_format=FLOAT_FORMAT, lineterminator="\n").encode())
+    store.write(name, csv_text(frame, float_format=FLOAT_FORMAT, lineterminator="\n").encode())
 
 
 def write_parquet(store: Store, name: str, frame: pd.DataFrame) -> None:
@@ -99,7 +109,7 @@ def claim_values(store: Store, runs: Iterable[int], wanted: Iterable[Cell]) -> d
     cells = list(dict.fromkeys(wanted))
     columns: dict[Cell, list[float]] = {cell: [] for cell in cells}
     for run in runs:
-        stored = decode(store.run_path(run))
+        stored = decode(store.run_path(run), store.batch, run)
         found = dict(zip(_cells_of(stored), stored.values.tolist(), strict=True)) | _time_cells(stored)
         for cell in cells:
             columns[cell].append(found.get(cell, np.nan))
@@ -128,12 +138,12 @@ def _gather(
     out = _Pass(points=points)
     text = [(name, pa.string()) for name in ("estimator", "window", "metric")]
     schema = pa.schema([("run", pa.int64()), *text, ("value", pa.float64())])
-    temporary = store.out / ".scratch" / "metrics.parquet"
-    with writing(store.out):
+    temporary = store.out / SCRATCH[2]
+    with writing(store.out, store.again):
         with pq.ParquetWriter(temporary, schema) as writer:
             batch: list[pa.Table] = []
             for k, run in enumerate(runs, 1):
-                stored = decode(store.run_path(run))
+                stored = decode(store.run_path(run), store.batch, run)
                 _take(stored, out, values, series)
                 columns = [pa.array(np.full(len(stored.values), run)), *stored.keys.columns, pa.array(stored.values)]
                 batch.append(pa.table(columns, schema=schema))
@@ -141,15 +151,19 @@ def _gather(
                     writer.write_table(pa.concat_tables(batch).combine_chunks())
                     batch = []
         temporary.replace(store.out / "metrics.parquet")
+    store.finish("metrics.parquet")
     return out
 
 
 def _take(unit: StoredRun, out: _Pass, values: ColumnStore, series: ColumnStore) -> None:
-    """Add one run to the columns and sums."""
+    """Add one run to the columns and sums; of a copy of an earlier run only how it ended."""
     out.runs += [(unit.run, o.estimator, o.status, o.seconds, o.samples, o.reason) for o in unit.outcomes]
     if out.keys is None or not unit.keys.equals(out.keys):
         places = [out.cells.setdefault(cell, len(out.cells)) for cell in _cells_of(unit)]
         out.keys, out.places = unit.keys, np.array(places, dtype=int)
+    if _is_copy(unit.values, out):
+        return
+    out.counted.append(unit.run)
     more: dict[Cell, float] = {(o.estimator, "all", "diverged"): float(o.status == "diverged") for o in unit.outcomes}
     more |= _time_cells(unit)
     extra = [out.cells.setdefault(cell, len(out.cells)) for cell in more]
@@ -168,6 +182,19 @@ def _take(unit: StoredRun, out: _Pass, values: ColumnStore, series: ColumnStore)
     series.append(wide[: len(out.series)].ravel())
 
 
+def _is_copy(values: Array, out: _Pass) -> bool:
+    """Whether a run has the scores of an earlier one to the bit, as all runs of a recording have: it is then no further sample.
+
+    A run that nobody finished has no scores to compare, and counts.
+    """
+    if not len(values):
+        return False
+    digest = hashlib.sha256(out.places.tobytes() + values.tobytes()).digest()
+    known = digest in out.seen
+    out.seen.add(digest)
+    return known
+
+
 def _fit(column: Array, points: int) -> Array:
     """A series cut or filled to the number of times; flights of different length have different ones."""
     if len(column) >= points:
@@ -184,10 +211,10 @@ def _tables(scenario: Scenario, gathered: _Pass, values: ColumnStore, times: Arr
         return None if k is None else values.columns(k, k + 1)[:, 0]
 
     runs = pd.DataFrame(gathered.runs, columns=["run", "estimator", "status", "seconds", "samples", "reason"])
-    tested = claims.check_claims(scenario.active_claims(), column, seed)
+    tested = verdicts.check_claims(scenario.active_claims(), column, seed, gathered.counted)
     return Tables(
         summary=_summary(gathered, values, rows, seed),
-        claims=pd.DataFrame(tested, columns=claims.COLUMNS),
+        claims=pd.DataFrame(tested, columns=verdicts.COLUMNS),
         runs=runs,
         timings=_timings(runs, rows),
         improvements=_improvements(gathered, column, rows, seed),
@@ -222,7 +249,7 @@ def _timings(runs: pd.DataFrame, rows: list[str]) -> pd.DataFrame:
     return pd.DataFrame(out)
 
 
-def _improvements(gathered: _Pass, column: claims.Values, rows: list[str], seed: int) -> pd.DataFrame:
+def _improvements(gathered: _Pass, column: verdicts.Values, rows: list[str], seed: int) -> pd.DataFrame:
     """Each estimator against the first one of the scenario: `quantities.IMPROVED` in every window that both have."""
     out = []
     for window in dict.fromkeys(window for _, window, _ in gathered.cells):
@@ -230,9 +257,7 @@ def _improvements(gathered: _Pass, column: claims.Values, rows: list[str], seed:
             baseline = column(rows[0], window, metric)
             for row in rows[1:]:
                 own = column(row, window, metric)
-                measured = (
-                    statistics.improvement(own, baseline, seed) if own is not None and baseline is not None else None
-                )
+                measured = effect(own, baseline, seed) if own is not None and baseline is not None else None
                 if measured is not None:
                     numbers = (measured.percent, measured.low, measured.high, measured.p_value, measured.n)
                     out.append((row, rows[0], window, metric, *numbers))

@@ -5,9 +5,12 @@ Exit codes: 0 done, 1 the work failed, 2 bad usage or bad input. A user's mistak
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
 import sys
-from collections.abc import Callable, Mapping
+import traceback
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,6 +29,7 @@ app = typer.Typer(
     help="JSBSim flies a scripted manoeuvre, sensor models record it, every navigation filter is scored on the same recording.",
 )
 
+DEBUG = "--debug"
 _SCENARIO = typer.Argument(
     metavar="SCENARIO", help="Path of a TOML file, or the name of a shipped one.", autocompletion=completion.scenarios
 )
@@ -47,34 +51,68 @@ PluginOption = Annotated[list[Path] | None, typer.Option("--plugin", help="Pytho
 SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed in place of the scenario's.")]
 _PATH_KEY = re.compile(r"recording\.dir|sensors\.\w+\.file|estimators\.\d+\.params_file")
 """Settings that are paths: on the command line they start from the current folder, in a scenario file from its own."""
-OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for the results.")]
+OutOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", help="Folder for the results: new, empty, or of the same verb. What the bench did not write is kept."
+    ),
+]
+
+
+@app.callback()
+def options(
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show the traceback of an error inside of the bench (anywhere in the line).")
+    ] = False,
+) -> None:
+    """What stands before the verb; `main` has taken ``--debug`` out already, here it is for the help."""
 
 
 def main() -> None:
-    """Entry point of the command ``testbed``."""
-    from testbed.errors import TestbedError
+    """Entry point of the command ``testbed``. Whatever goes wrong ends in one message and an exit code, see `_failed`."""
+    from testbed.screen import usable_streams
 
+    words = sys.argv[1:]
+    usable_streams()
     try:
-        app()
-    except TestbedError as error:
-        print(f"testbed: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        print("testbed: stopped", file=sys.stderr)
-        sys.exit(1)
-    except BrokenPipeError:
-        sys.exit(1)
-    except OSError as error:
-        if error.filename is None:
+        app(args=[word for word in words if word != DEBUG])
+    except (SystemExit, typer.Exit):
+        raise
+    except BaseException as error:
+        if DEBUG in words:
             raise
-        print(f"testbed: {error.filename}: {error.strerror}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(_failed(error, words))
+
+
+def _failed(error: BaseException, words: Sequence[str]) -> int:
+    """Tell what ended a verb in one message; its exit code. What nobody foresaw names its place and how to report it."""
+    from testbed.errors import TestbedError, readable
+
+    if isinstance(error, BrokenPipeError):
+        # Python flushes once more at the end, and would complain of the closed pipe
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    code = 1
+    if isinstance(error, TestbedError):
+        told, code = str(error), error.exit_code
+    elif isinstance(error, KeyboardInterrupt):
+        told = "stopped"
+    elif isinstance(error, OSError) and error.filename is not None:
+        told = f"{error.filename}: {error.strerror}"
+    else:
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        line = shlex.join(["testbed", *words, DEBUG])
+        told = f"an error inside of the bench: {what}{place}; to report it, send the output of '{line}' and its input files"
+    print(f"testbed: {readable(told)}", file=sys.stderr)
+    return code
 
 
 def _loader(
     scenario: str, profile: str | None, variant: str | None, settings: list[str] | None, seed: int | None = None
-) -> Callable[[Mapping[str, Any]], Scenario]:
-    """How this call reads its scenario; further overrides (of a sweep) stand above the call's own settings."""
+) -> Callable[..., Scenario]:
+    """How this call reads its scenario: further overrides (of a sweep) stand above the call's own settings; and a reading."""
     from testbed.scenario import load_scenario, parse_setting
 
     overrides: dict[str, Any] = dict(parse_setting(text) for text in settings or [])
@@ -84,7 +122,7 @@ def _loader(
             overrides[key] = str(Path(value).resolve())
     if seed is not None:
         overrides["monte_carlo.seed"] = seed
-    return lambda further: load_scenario(scenario, profile, variant, {**overrides, **further})
+    return lambda further, reading=None: load_scenario(scenario, profile, variant, {**overrides, **further}, reading)
 
 
 def _load_plugins(plugins: list[Path] | None) -> list[str]:
@@ -120,10 +158,16 @@ def run_command(
     resume: Annotated[bool, typer.Option("--resume", help="Complete what is missing in an earlier result.")] = False,
     timeout: Annotated[float | None, typer.Option(min=0.1, help="Longest time of one estimator on one run, s.")] = None,
     sweep: Annotated[list[str] | None, typer.Option(metavar="KEY=V1,V2", help="Run a grid over settings.")] = None,
+    readings: Annotated[
+        bool, typer.Option("--readings", help="Run every reading of the source and judge the claims under each.")
+    ] = False,
     width: Annotated[
-        float, typer.Option(min=0.1, help="With --runs auto: interval width of every claim, percentage points.")
+        float,
+        typer.Option(min=0.1, help="With --runs auto or --readings: interval width of every claim, percentage points."),
     ] = 10.0,
-    cap: Annotated[int, typer.Option(min=1, help="With --runs auto: most runs.")] = 1000,
+    cap: Annotated[
+        int | None, typer.Option(min=1, help="Most runs with --runs auto (1000) and with --readings (200).")
+    ] = None,
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="Render the report; the tables are always written.")
     ] = True,
@@ -147,6 +191,7 @@ def run_command(
         resume=resume,
         timeout=timeout,
         sweep=sweep,
+        readings=readings,
         width=width,
         cap=cap,
         report=report,

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.checksums import check_seal, sealed_parquet
 from testbed.errors import InputError
+from testbed.files import write_atomic
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,31 +67,40 @@ def read_pva(table: Mapping[str, Array]) -> dict[str, Any]:
 
 
 def write_table(frame: pd.DataFrame, path: str | Path, kind: str, meta: dict[str, Any]) -> None:
-    """Write a Parquet file whose header holds ``kind`` and ``meta``."""
+    """Write a Parquet file whose header holds ``kind`` and ``meta``, and which carries the hash of its content."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     table = pa.Table.from_pandas(frame, preserve_index=False)
     header = {"testbed": json.dumps({"kind": kind} | meta).encode()}
-    pq.write_table(table.replace_schema_metadata(header), path)
+    write_atomic(Path(path), sealed_parquet(table.replace_schema_metadata(header)))
 
 
 def read_table(path: str | Path, kind: str) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Columns and header of a file of this kind. Raises InputError for anything else."""
+    """Columns and header of a file of this kind, undamaged. Raises InputError for anything else."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    if not Path(path).exists():
+        raise InputError(f"{path}: no such file")
+    check_seal(path)
     try:
         with pq.ParquetFile(path) as file:
             table = file.read()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (pa.ArrowInvalid, OSError) as error:
+        meta = json.loads((table.schema.metadata or {}).get(b"testbed", b"{}"))
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable Parquet file ({error})") from None
-    meta = json.loads((table.schema.metadata or {}).get(b"testbed", b"{}"))
-    if meta.get("kind") != kind:
+    if not isinstance(meta, dict) or meta.get("kind") != kind:
+        meta = meta if isinstance(meta, dict) else {}
         raise InputError(f"{path}: holds {meta.get('kind') or 'no record of the testbed'}, expected {kind}")
     return {name: _values(table[name]) for name in table.column_names}, meta
+
+
+def read_header(path: str | Path) -> dict[str, Any]:
+    """The header of a file that `read_table` has read."""
+    import pyarrow.parquet as pq
+
+    header: dict[str, Any] = json.loads((pq.read_schema(path).metadata or {})[b"testbed"])
+    return header
 
 
 def _values(column: Any) -> Array:

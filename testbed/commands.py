@@ -14,24 +14,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from testbed.completion import LISTS
-from testbed.errors import OWN, InputError, TestbedError, nearest
+from testbed.errors import OWN, InputError, MissingExtra, TestbedError, nearest
+from testbed.files import check_place, writing
+from testbed.folders import Folder, check_own
 from testbed.screen import print_claims, print_failures, print_summary, progress_line, tell_user
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
 
+AUTO_CAP = 1000
+"""Most runs of --runs auto: an interval then has a thirtieth of one run's scatter."""
 MOVING_DPS = 2.0
 """Standard deviation of a gyro that no catalogue sensor reaches at rest, with noise of 2 °/√h at 200 Hz 0.5 °/s."""
 
 
 def run(
-    load: Callable[[Mapping[str, Any]], Scenario],
+    load: Callable[..., Scenario],
     out: Path | None,
     runs: str | None,
     estimators: str | None,
     sweep: list[str] | None,
+    readings: bool,
     width: float,
-    cap: int,
+    cap: int | None,
     report: bool = True,
     offered: Sequence[str] = (),
     **options: Any,
@@ -41,15 +46,26 @@ def run(
     ``offered`` are the estimators that plug-ins brought.
     """
     import testbed.runner
+    from testbed.readings import KIND as READINGS
     from testbed.report import preload, render
+    from testbed.store import KIND as RESULT
 
     scenario = _choose_estimators(load({}), estimators)
     unused = [name for name in offered if name not in {entry.name for entry in scenario.estimators}]
     if unused and estimators is None:
         tell_user(f"no row of {scenario.name} uses {', '.join(unused)}: add --estimators +{',+'.join(unused)}")
     folder = out or Path("results") / scenario.name
-    check_place(folder)
-    count = testbed.runner.Auto(width, cap) if runs == "auto" else _run_count(runs)
+    check_own(folder, "testbed sweep" if sweep else READINGS if readings else RESULT)
+    if readings:
+        if sweep:
+            raise InputError("--readings and --sweep: one of them; a reading is a result of its own")
+        from testbed.readings import CAP, FIRST, command
+
+        auto = testbed.runner.Auto(width, cap or CAP, min(FIRST, cap or CAP))
+        count = auto if runs in (None, "auto") else _run_count(runs)
+        command(lambda name: _choose_estimators(load({}, name), estimators), out, count, report, **options)
+        return
+    count = testbed.runner.Auto(width, cap or AUTO_CAP) if runs == "auto" else _run_count(runs)
     if sweep:
         _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=count, **options)
         return
@@ -67,8 +83,12 @@ def run(
     used = result.runs["run"].nunique()
     if (stored := _stored_runs(folder)) > used:
         tell_user(f"{stored} runs are stored in {folder}; tables and report are of the first {used}")
+    if (counted := int(result.summary["n"].max())) < used:
+        tell_user(f"{used - counted} of {used} runs are copies of others: nothing in them varied, and they count once")
     print_summary(scenario, result.summary, result.runs)
     sys.stdout.flush()
+    for note in result.notes:
+        tell_user(f"note: {note}")
     print_failures(result.runs)
     if not result.claims.empty:
         print_claims(result.claims)
@@ -90,11 +110,7 @@ def _stored_runs(folder: Path) -> int:
 
 def _announce_compilation() -> None:
     """The first run of an installation compiles the kernels; without a word that looks like a hang."""
-    if "NUMBA_CACHE_DIR" in os.environ:
-        compiled = any(Path(os.environ["NUMBA_CACHE_DIR"]).glob("testbed_*/*.nbi"))
-    else:
-        folder = Path(__file__).parent / "__pycache__"
-        compiled = not os.access(folder, os.W_OK) or any(folder.glob("*.nbi"))
+    compiled = any(Path(os.environ["NUMBA_CACHE_DIR"]).glob("testbed_*/*.nbi"))
     if not compiled:
         tell_user("first use: compiling the kernels takes a minute or two")
 
@@ -115,9 +131,12 @@ def _sweep(load: Callable[[Mapping[str, Any]], Scenario], grid: list[str], folde
 def _run_count(runs: str | None) -> int | None:
     if runs is None:
         return None
-    if not runs.isdigit() or int(runs) < 1:
+    from testbed.scenario import MonteCarloConfig, position_of
+    from testbed.schema import validate
+
+    if not (count := position_of(runs)):
         raise InputError(f"--runs {runs}: expected a number of runs from 1, or 'auto'")
-    return int(runs)
+    return validate(MonteCarloConfig, {"runs": count}, "--runs").runs
 
 
 def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
@@ -128,7 +147,7 @@ def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
     if names is None:
         return scenario
     from testbed.registry import list_estimators
-    from testbed.scenario import EstimatorConfig
+    from testbed.scenario import EstimatorConfig, position_of
 
     rows = {entry.row: entry for entry in scenario.estimators}
     wanted = list(dict.fromkeys(part.strip() for part in names.split(",") if part.strip()))
@@ -146,18 +165,11 @@ def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
         raise InputError("--estimators: name at least one")
     kept = {entry.row for entry in chosen}
     for place in [key.split(".")[1] for key in scenario.settings if key.startswith("estimators.")]:
-        row = scenario.estimators[int(place)].row if place.isdigit() else place
+        row = place if (number := position_of(place)) is None else scenario.estimators[number].row
         if row not in kept and row not in {entry.name for entry in chosen}:
             raise InputError(f"'estimators.{place}' is set, but --estimators leaves '{row}' out")
     claims = [claim for claim in scenario.claims if {claim.better, claim.than} <= kept]
     return scenario.model_copy(update={"estimators": chosen, "claims": claims})
-
-
-def check_place(out: Path) -> None:
-    """Raise InputError where no folder ``out`` can be."""
-    place = next((p for p in (out, *out.parents) if p.exists()), out)
-    if place.exists() and not place.is_dir():
-        raise InputError(f"{place}: is a file, not a folder for results; give another --out")
 
 
 def check_free(out: Path) -> None:
@@ -171,17 +183,23 @@ def check_free(out: Path) -> None:
 def fresh_folder(out: Path) -> Iterator[Path]:
     """A temporary folder that takes the place of ``out`` at the end; on an error nothing half-written remains."""
     check_free(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    try:
-        yield scratch
-        scratch.chmod(0o777 & ~_umask())
-        if out.exists():
-            out.rmdir()
-        os.replace(scratch, out)
-    except BaseException:
-        shutil.rmtree(scratch, ignore_errors=True)
-        raise
+    place = out.resolve()  # a link is followed, and . has a name
+    with writing(out):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{place.name}-", dir=place.parent))
+        try:
+            yield scratch
+            check_free(out)  # somebody else may have been quicker
+            if place.exists():  # stays, and so does who stands in it
+                for path in sorted(scratch.iterdir()):
+                    path.rename(place / path.name)
+                scratch.rmdir()
+            else:
+                scratch.chmod(0o777 & ~_umask())
+                scratch.rename(place)
+        except BaseException:
+            shutil.rmtree(scratch, ignore_errors=True)
+            raise
 
 
 def _umask() -> int:
@@ -200,7 +218,10 @@ def fly(scenario: Scenario, out: Path | None) -> None:
     trajectory = pipeline.fly(scenario)
     with fresh_folder(folder) as scratch:
         for kind, suffix in (("parquet", "parquet"), ("csv", "csv"), ("kml", "kml"), ("navego", "mat")):
-            export_trajectory(trajectory, scratch / f"trajectory.{suffix}", kind)
+            try:
+                export_trajectory(trajectory, scratch / f"trajectory.{suffix}", kind)
+            except MissingExtra as missing:
+                tell_user(f"note: trajectory.{suffix} is left out: {missing}")
     print(
         f"{trajectory.t[-1] - trajectory.t[0]:g} s in {len(trajectory.t)} samples, {len(trajectory.phases)} manoeuvres: {folder}"
     )
@@ -230,7 +251,7 @@ def allan(log: Path, out: Path | None) -> None:
     from testbed.sensors import allan as analysis
 
     folder = out or Path("results") / "allan"
-    check_place(folder)
+    check_own(folder, "testbed allan")
     read = SensorLog.load(log / "log" if (log / "log" / "imu.parquet").is_file() else log)
     table = analysis.analyse(read)
     if (spread := math.degrees(read.imu.gyro.std(axis=0).max())) > MOVING_DPS:
@@ -238,9 +259,12 @@ def allan(log: Path, out: Path | None) -> None:
             f"{log}: the gyros vary by {spread:.2g} °/s, so it was not at rest; the figures are those of the motion"
         )
     print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
-    folder.mkdir(parents=True, exist_ok=True)
-    table.to_csv(folder / "allan.csv", index=False)
-    analysis.plot(read, folder / "allan.png")
+    with Folder.open(folder, "testbed allan") as own:
+        own.claim(["allan.csv", "allan.png"])
+        own.write("allan.csv", table.to_csv(index=False).encode())
+        analysis.plot(read, folder / "allan.png")
+        own.finish("allan.png")
+        own.save()
     print(f"plot: {folder / 'allan.png'}")
 
 
@@ -283,7 +307,10 @@ def import_recording(format: str, files: list[Path], out: Path) -> None:
 
 def report(folders: list[Path], out: Path) -> None:
     """``testbed report``."""
+    from testbed.folders import read_manifest as manifest_of
+    from testbed.readings import KIND as READINGS
     from testbed.report import render, render_index
+    from testbed.report.readings import write_page
     from testbed.tuning.report import write_report
     from testbed.tuning.tune import read_manifest
 
@@ -292,7 +319,9 @@ def report(folders: list[Path], out: Path) -> None:
         if not (folder / "manifest.json").is_file():
             raise InputError(f"{folder}: no result of 'testbed run' or 'testbed tune' (it has no manifest.json)")
     for folder in folders:
-        if read_manifest(folder) is None:
+        if manifest_of(folder, READINGS) is not None:
+            write_page(folder)
+        elif read_manifest(folder) is None:
             render(folder)
         else:
             write_report(folder)
@@ -303,7 +332,7 @@ def report(folders: list[Path], out: Path) -> None:
 
 def compare(old: Path, new: Path, windows: bool = False) -> int:
     """``testbed compare``: 1 when a metric got worse or is missing, else 0."""
-    from testbed.compare import MISSING, compare_results
+    from testbed.compare import MISSING, NOT_TESTED, compare_results
 
     changes = compare_results(old, new)
     gone = changes[changes["verdict"] == MISSING]
@@ -319,6 +348,8 @@ def compare(old: Path, new: Path, windows: bool = False) -> int:
     print(shown.to_string(index=False, float_format=lambda v: f"{v:.4g}"))
     told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     left = len(changes) - len(shown)
+    if NOT_TESTED in counts:
+        print("not tested: a result of one run (or of copies of one) has no statistical error to compare with")
     print(f"{told}" + (f"; {left} of them in single windows, shown with --windows" if left else ""))
     return int(len(gone) > 0 or (changes["verdict"] == "worse").any())
 

@@ -66,5 +66,5 @@ def _tables(ctx: typer.Context, key: str) -> Any:
     shipped = resources.scenario_root() / f"{name}.toml"
     try:
         return tomllib.loads((shipped if shipped.is_file() else Path(name)).read_text(encoding="utf-8")).get(key, {})
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+    except (OSError, ValueError, RecursionError):  # a name or a file that is none
         return {}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -18,8 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
+from testbed.checksums import check_seal, read_json, sealed_parquet
 from testbed.errors import FlightError, InputError
+from testbed.files import write_atomic
 from testbed.flight.config import FlightConfig
+from testbed.folders import MANIFEST, Folder
 from testbed.scenario import Scenario
 from testbed.schema import Table, validate
 from testbed.streams import stream
@@ -27,6 +30,8 @@ from testbed.streams import stream
 if TYPE_CHECKING:
     from testbed.records import SensorLog, Trajectory
 
+KIND = "testbed data set"
+_SHARD = re.compile(r"flight-[0-9]{3,}\.parquet")
 ROWS_PER_GROUP = 3000
 """Rows of a Parquet row group: what a reader must hold to read one window."""
 ATTEMPTS = 20
@@ -89,21 +94,35 @@ def make_dataset(
     count = config.flights if flights is None else flights
     if count <= config.validation:
         raise InputError(f"{count} flights leave none to train on: {config.validation} are for validation")
-    folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
     key = dataset_key(scenario)
-    manifest = folder / "manifest.json"
-    if manifest.exists() and json.loads(manifest.read_text()).get("key") != key:
-        raise InputError(f"{folder}: holds the data set of another scenario; give another --out")
-    entries = []
-    for k in range(count):
-        entries.append(_flight_shard(scenario, config, k, folder, key))
-        entries[-1]["split"] = "train" if k < count - config.validation else "validation"
-        if progress is not None:
-            progress(k + 1, count)
-    data = {"key": key, "scenario": scenario.name, "flights": entries, "config": config.model_dump(mode="json")}
-    _replace(manifest, json.dumps(data, indent=1).encode())
-    return folder
+    shards = [f"flight-{k:03d}.parquet" for k in range(count)]
+    with Folder.open(out, KIND, among=_only_shards(Path(out), key)) as folder:
+        if folder.manifest.get("key", key) != key:
+            raise InputError(f"{folder.out}: holds the data set of another scenario; give another --out")
+        adopted = [path.name for path in folder.out.glob("flight-*.parquet") if "key" not in folder.manifest]
+        folder.files.update(dict.fromkeys(adopted))
+        folder.save(key=key, finished=False)
+        folder.claim(shards)
+        entries = []
+        for k, name in enumerate(shards):
+            entries.append(_flight_shard(scenario, config, k, folder.out / name, key))
+            entries[-1]["split"] = "train" if k < count - config.validation else "validation"
+            folder.finish(name)
+            if progress is not None:
+                progress(k + 1, count)
+        made = {"scenario": scenario.name, "flights": entries, "config": config.model_dump(mode="json")}
+        folder.save(**made, finished=True)
+    return folder.out
+
+
+def _only_shards(out: Path, key: str) -> bool:
+    """Whether a folder holds flights of this data set and nothing else: what is left where the manifest was lost."""
+    if not out.is_dir() or (out / MANIFEST).exists():
+        return False
+    try:
+        return all(_SHARD.fullmatch(path.name) and shard_meta(path).get("key") == key for path in out.iterdir())
+    except InputError:
+        return False
 
 
 def dataset_key(scenario: Scenario) -> str:
@@ -201,12 +220,19 @@ def fly_drawn(scenario: Scenario, config: DatasetConfig, k: int) -> tuple[Trajec
     raise FlightError(f"flight {k}: the aircraft could fly none of {ATTEMPTS} drawn scripts; the last: {refused}")
 
 
-def _flight_shard(scenario: Scenario, config: DatasetConfig, k: int, folder: Path, key: str) -> dict[str, Any]:
+def _flight_shard(scenario: Scenario, config: DatasetConfig, k: int, path: Path, key: str) -> dict[str, Any]:
+    """The entry of flight ``k``, flown and stored at ``path`` unless it is there, whole and of this data set."""
+    from testbed.screen import tell_user
     from testbed.sensors import sense_flight
 
-    path = folder / f"flight-{k:03d}.parquet"
-    if path.exists() and (entry := shard_meta(path)).get("key") == key:
-        return entry["entry"]
+    if path.exists():
+        try:
+            if (stored := shard_meta(path)).get("key") == key and stored["entry"]["sensor_run"] == k:
+                entry: dict[str, Any] = stored["entry"]
+                return entry
+            tell_user(f"{path}: holds a flight of another data set; it is flown again")
+        except InputError as error:
+            tell_user(f"{error}; it is flown again")
     trajectory, flight, refused = fly_drawn(scenario, config, k)
     assert scenario.sensors is not None
     log, _ = sense_flight(scenario.sensors, scenario.initial, trajectory, config.seed, k)
@@ -225,7 +251,6 @@ def _flight_shard(scenario: Scenario, config: DatasetConfig, k: int, folder: Pat
 def write_shard(path: Path, log: SensorLog, trajectory: Trajectory, meta: dict[str, Any]) -> None:
     """Store a log with the truth at its IMU times. The magnetometer must sample with the IMU."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     from testbed import specs
     from testbed.metrics import truth_at
@@ -244,21 +269,23 @@ def write_shard(path: Path, log: SensorLog, trajectory: Trajectory, meta: dict[s
     initial = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(log.initial).items()}
     known = {"initial": initial, "imu": specs.to_dict(log.imu.spec), "mag": specs.to_dict(log.mag.spec)}
     table = pa.table(columns).replace_schema_metadata({"testbed": json.dumps(meta | {"log": known}).encode()})
-    scratch = path.with_suffix(".tmp")
-    pq.write_table(table, scratch, row_group_size=ROWS_PER_GROUP)
-    os.replace(scratch, path)
+    write_atomic(path, sealed_parquet(table, row_group_size=ROWS_PER_GROUP))
 
 
 def shard_meta(path: Path) -> dict[str, Any]:
-    """What a shard says of itself. Raises InputError when it is none."""
+    """What a shard says of itself, once it is undamaged. Raises InputError when it is none."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    check_seal(path)
     try:
         header = pq.read_schema(path).metadata or {}
     except (OSError, pa.ArrowInvalid) as error:
         raise InputError(f"{path}: not a readable shard ({error})") from None
-    return dict(json.loads(header.get(b"testbed", b"{}")))
+    try:
+        return dict(json.loads(header.get(b"testbed", b"{}")))
+    except (ValueError, TypeError):
+        raise InputError(f"{path}: its header is damaged; delete it and make the data set again") from None
 
 
 class Shard:
@@ -304,18 +331,17 @@ def open_dataset(folder: str | Path) -> tuple[list[Shard], list[Shard]]:
     manifest = folder / "manifest.json"
     if not manifest.is_file():
         raise InputError(f"{folder}: no data set (it has no manifest.json); make one with: testbed dataset SCENARIO")
-    entries = json.loads(manifest.read_text())["flights"]
+    content = read_json(manifest)
+    if content.get("finished") is False:
+        raise InputError(f"{folder}: this data set is not finished; complete it with: testbed dataset SCENARIO")
+    entries = content.get("flights")
+    if not isinstance(entries, list) or not all(isinstance(e, dict) and {"split", "file"} <= set(e) for e in entries):
+        raise InputError(f"{manifest}: damaged, or not of a data set ('flights' does not list them)")
 
     def split(name: str) -> list[Shard]:
         return [Shard(folder / entry["file"]) for entry in entries if entry["split"] == name]
 
     return split("train"), split("validation")
-
-
-def _replace(path: Path, content: bytes) -> None:
-    scratch = path.with_suffix(".tmp")
-    scratch.write_bytes(content)
-    os.replace(scratch, path)
 
 
 __all__: Sequence[str] = ("DatasetConfig", "Shard", "dataset_config", "make_dataset", "open_dataset", "write_shard")

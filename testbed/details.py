@@ -105,11 +105,9 @@ def _errors_frame(solution: NavSolution, series: ErrorSeries) -> pd.DataFrame:
     columns |= {name: series.values[:, i] if i in scored else nothing for i, name in enumerate(AXES)}
     rows = np.searchsorted(solution.t, series.t - 1e-9)
     columns |= {f"sigma_{name}": sigma[rows] for name, sigma in axis_sigmas(solution).items()}
-    columns |= {
-        "lat_deg": np.degrees(solution.lat[rows]),
-        "lon_deg": np.degrees(solution.lon[rows]),
-        "alt_m": solution.h[rows],
-    }
+    placed = bool({0, 1, 2} & set(scored))  # who does not navigate has no track
+    place = {"lat_deg": np.degrees(solution.lat), "lon_deg": np.degrees(solution.lon), "alt_m": solution.h}
+    columns |= {name: values[rows] if placed else nothing for name, values in place.items()}
     return pd.DataFrame(columns)
 
 

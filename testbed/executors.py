@@ -25,7 +25,7 @@ from multiprocessing import connection, get_context, parent_process
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import InputError, TestbedError
+from testbed.errors import InputError, MissingExtra, TestbedError
 from testbed.forking import can_fork, quietly
 from testbed.limits import single_threaded, thread_environment
 from testbed.store import encode
@@ -47,9 +47,9 @@ class Finished:
     files: dict[str, bytes] = field(default_factory=dict)
 
 
-def pack(result: UnitResult) -> Finished:
+def pack(setup: Setup, result: UnitResult) -> Finished:
     """A unit's result as it travels."""
-    return Finished(result.run, encode(result), result.files)
+    return Finished(result.run, encode(result, setup.batch), result.files)
 
 
 def inline(setup: Setup, runs: Iterable[int]) -> Iterator[Finished]:
@@ -57,7 +57,7 @@ def inline(setup: Setup, runs: Iterable[int]) -> Iterator[Finished]:
     with single_threaded():
         bench = Bench(setup)
         for run in runs:
-            yield pack(bench.execute(run))
+            yield pack(setup, bench.execute(run))
 
 
 _bench: Bench | None = None
@@ -85,13 +85,13 @@ def _die_with_parent() -> None:
 def _beat(run: int, estimator: str, limit: float | None) -> None:
     """Leave word of what this process begins and when it should be done."""
     assert _heartbeats is not None
-    deadline = time.time() + limit if limit is not None else math.inf
+    deadline = time.monotonic() + limit if limit is not None else math.inf
     (_heartbeats / str(os.getpid())).write_text(f"{run}\n{deadline!r}\n{estimator}")
 
 
 def _work(run: int, skip: dict[str, str]) -> Finished:
     assert _bench is not None
-    return pack(_bench.execute(run, skip, _beat))
+    return pack(_bench.setup, _bench.execute(run, skip, _beat))
 
 
 class Pool:
@@ -169,7 +169,7 @@ class Pool:
     def _kill_hanging(self, limit: float) -> None:
         """Kill workers whose estimator does not heed its time limit, and give that estimator up for the run."""
         for pid, run, deadline, estimator in self._heartbeats():
-            if estimator and time.time() > deadline + GRACE_S:
+            if estimator and time.monotonic() > deadline + GRACE_S:
                 self._skip.setdefault(run, {})[estimator] = f"timeout: no answer within {limit:g} s, worker killed"
                 self._broken[run] = 0
                 with contextlib.suppress(ProcessLookupError):
@@ -257,7 +257,7 @@ def cluster_work(setup: Setup, run: int) -> Finished:
         _cluster_benches.clear()
         _standing.enter_context(single_threaded())
         _cluster_benches[key] = Bench(setup)
-    return pack(_cluster_benches[key].execute(run))
+    return pack(setup, _cluster_benches[key].execute(run))
 
 
 def connect(address: str) -> Any:
@@ -268,7 +268,7 @@ def connect(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError:
-        raise InputError("--scheduler needs the extra 'cluster': pip install 'navigation-testbed[cluster]'") from None
+        raise MissingExtra("--scheduler needs the extra 'cluster': pip install 'navigation-testbed[cluster]'") from None
     try:
         return Client(address, timeout=10)
     except (OSError, TimeoutError, ValueError) as error:
@@ -297,7 +297,7 @@ def cluster(setup: Setup, runs: Iterable[int], client: Any) -> Iterator[Finished
             try:
                 unit = future.result()
             except KilledWorker:
-                unit = pack(lost(setup, run, "it ended every Dask worker that computed it"))
+                unit = pack(setup, lost(setup, run, "it ended every Dask worker that computed it"))
             except (CancelledError, CommClosedError) as error:
                 raise TestbedError("the Dask cluster is gone; run the same command with --resume") from error
             yield unit

@@ -1,6 +1,6 @@
 """Limits on what an estimator may take: time, and threads of the numerical libraries.
 
-Wall-clock seconds. In a main thread a signal ends even a sleep; elsewhere an exception is injected at the next
+Seconds of a clock that nobody sets. In a main thread a signal ends even a sleep; elsewhere an exception is injected at the next
 bytecode. Native code that ignores both is ended by the parent process, see `testbed.executors`.
 """
 

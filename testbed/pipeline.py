@@ -53,12 +53,34 @@ def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig | DriveCon
     config, settings = scenario.flight, scenario.monte_carlo
     if "manoeuvres" in settings.vary and settings.disperse:
         data = config.model_dump(mode="json", exclude_none=True)
-        for key, distribution in settings.disperse.items():
-            rng = stream(settings.seed, run, f"flight.{key}")
-            set_key(data, key, distribution.draw(rng), f"{scenario.source_path}: monte_carlo.disperse")
+        where = f"{scenario.source_path}: monte_carlo.disperse"
+        for pattern, distribution in settings.disperse.items():
+            for key, own in _dispersed(data, pattern, distribution.factor is not None, where):
+                rng = stream(settings.seed, run, f"flight.{key}")
+                set_key(data, key, distribution.draw(rng, own), where)
         config = validate(type(config), data, f"{scenario.source_path}: flight of run {run}")
     seed = settings.seed + run if "turbulence" in settings.vary else settings.seed
     return config, seed
+
+
+def _dispersed(data: dict[str, Any], pattern: str, needs_value: bool, where: str) -> list[tuple[str, float]]:
+    """The keys of a flight that a key of ``disperse`` means, with their numbers (NaN where there is none to start from)."""
+    head, star, tail = pattern.partition(".*.")
+    rows = data.get(head, []) if star else [data]
+    keys = [f"{head}.{k}.{tail}" for k, row in enumerate(rows) if tail in row] if star else [pattern]
+    if not keys:
+        raise InputError(f"{where}: '{pattern}': no row of '{head}' has '{tail}'")
+    found = []
+    for key in keys:
+        node: Any = data
+        for part in key.split("."):
+            inside = isinstance(node, list) and part.isdigit() and int(part) < len(node)
+            node = node[int(part)] if inside else node.get(part) if isinstance(node, dict) else None
+        number = isinstance(node, int | float) and not isinstance(node, bool)
+        if needs_value and not number:
+            raise InputError(f"{where}: '{key}': the flight has no such number to multiply by a factor")
+        found.append((key, float(node) if number else np.nan))
+    return found
 
 
 def fly(scenario: Scenario, run: int = 0) -> Trajectory:

@@ -5,6 +5,7 @@ In a checkout the data folders stand beside the package; in a wheel they lie ins
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from pathlib import Path
 
@@ -24,6 +25,14 @@ def aircraft_root() -> Path:
 def scenario_root() -> Path:
     """Folder with the shipped scenario files."""
     return _data_root("scenarios")
+
+
+def has_package(name: str) -> bool:
+    """Whether a package of an extra can be imported; it is not imported."""
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ValueError:  # a module without a specification stands in its place
+        return False
 
 
 def cache_root() -> Path:

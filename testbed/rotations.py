@@ -13,6 +13,9 @@ import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
+EULER_POLE = 1e-12
+"""cos(pitch) / 2 below which roll and yaw are not told apart: rounding (1e-16) would leave them fewer than four digits."""
+
 
 @njit(cache=True)
 def wrap(angle):
@@ -53,7 +56,7 @@ def half_turn(square):
 
 
 @overload(half_turn)
-def _half_turn(square):
+def _half_turn_of_float(square):
     if not isinstance(square, types.Float):
         return None
 
@@ -150,13 +153,32 @@ def euler_to_quat(roll, pitch, yaw):
 
 @njit(cache=True)
 def quat_to_euler(q):
-    """Roll, pitch, yaw (rad) of q_nb; pitch in [-pi/2, pi/2]."""
-    m = quat_to_matrix(q)
-    return (
-        np.arctan2(m[2][1], m[2][2]),
-        np.arcsin(min(1.0, max(-1.0, -m[2][0]))),
-        np.arctan2(m[1][0], m[0][0]),
-    )
+    """Roll, pitch, yaw (rad) of q_nb; pitch in [-pi/2, pi/2], roll and yaw in [-pi, pi].
+
+    From half sum and half difference of roll and yaw, which keep their digits near pitch = ±pi/2 where their parts do not
+    (Bernardes and Viollet 2022, doi:10.1371/journal.pone.0276302). At the pole itself only one of them is defined: roll
+    is zero there and yaw carries the whole turn, so that `euler_to_quat` returns the attitude to ``EULER_POLE``.
+    """
+    up_cos, up_sin = q[0] - q[2], q[1] + q[3]
+    down_cos, down_sin = q[0] + q[2], q[1] - q[3]
+    up, down = np.hypot(up_cos, up_sin), np.hypot(down_cos, down_sin)
+    pitch = np.arctan2(2.0 * (q[0] * q[2] - q[1] * q[3]), up * down)
+    half_sum, half_difference = np.arctan2(up_sin, up_cos), np.arctan2(down_sin, down_cos)
+    if up < EULER_POLE * down:
+        half_sum = -half_difference
+    elif down < EULER_POLE * up:
+        half_difference = -half_sum
+    return _half_turn(half_sum + half_difference), pitch, _half_turn(half_sum - half_difference)
+
+
+@njit(cache=True)
+def _half_turn(angle):
+    """An angle within (-2 pi, 2 pi] into [-pi, pi]; one that is inside keeps its bits."""
+    if angle > np.pi:
+        return angle - 2.0 * np.pi
+    if angle < -np.pi:
+        return angle + 2.0 * np.pi
+    return angle
 
 
 @njit(cache=True)

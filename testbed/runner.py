@@ -10,20 +10,27 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import testbed
 from testbed import executors, pipeline
+from testbed.checksums import DamagedError
 from testbed.errors import InputError, TestbedError, nearest
+from testbed.folders import check_own
+from testbed.notes import notes_of
 from testbed.records import Trajectory
-from testbed.scenario import Scenario
-from testbed.store import Store, files_digest
+from testbed.scenario import LONGEST_TIMEOUT_S, Scenario
+from testbed.screen import tell_user
+from testbed.store import FORMAT, KIND, Store, StoreError, batch_of, files_digest, open_result
 from testbed.units import Setup, envelope_times
 
 if TYPE_CHECKING:
     import pandas as pd
+
+MOST_RUNS = 1_000_000
+"""What the six digits of a stored run's name can number."""
 
 Progress = Callable[[int, int], None]
 """Called with the number of runs done and the number wanted."""
@@ -64,13 +71,15 @@ class Result:
     timings: pd.DataFrame
     improvements: pd.DataFrame
     consistency: pd.DataFrame
+    notes: tuple[str, ...] = ()
+    """What the scenario says without effect, see `testbed.notes`."""
 
     @property
     def metrics(self) -> pd.DataFrame:
         """The long table of every run, read from the disk: run, estimator, window, metric, value."""
         import pandas as pd
 
-        return pd.read_parquet(self.out / "metrics.parquet")
+        return pd.read_parquet(open_result(self.out).check("metrics.parquet"))
 
 
 def run(
@@ -97,13 +106,22 @@ def run(
         raise InputError(f"--jobs {jobs}: at least one")
     setup = plan(scenario, runs, seed, estimators, timeout, plugins)
     scenario = setup.scenario
-    identity = {"scenario": scenario.digest(), "plugins": files_digest(setup.plugins), "testbed": testbed.__version__}
+    identity = {
+        "format": FORMAT,
+        "scenario": scenario.digest(),
+        "plugins": files_digest(setup.plugins),
+        "testbed": testbed.__version__,
+    }
+    setup = replace(setup, batch=batch_of(identity))
+    check_own(Path(out), KIND)
     trajectory = prepare(setup)
-    with nullcontext() if scheduler is None else executors.connect(scheduler) as client:
-        store = Store.create(out, identity, scenario.to_toml(), resume)
-        started = time.time()
-        store.update_manifest(**provenance(scenario, setup), finished=False)
-        done = set(store.finished_runs())
+    with (
+        nullcontext() if scheduler is None else executors.connect(scheduler) as client,
+        Store.create(out, identity, scenario.to_toml(), resume) as store,
+    ):
+        started = time.monotonic()
+        store.save(**provenance(scenario, setup), finished=False)
+        done = set(store.finished_runs(tell_user))
         wanted = 0
         for wanted in runs.checkpoints() if isinstance(runs, Auto) else [scenario.monte_carlo.runs]:
             missing = [k for k in range(wanted) if k not in done]
@@ -111,16 +129,25 @@ def run(
             done.update(missing)
             if isinstance(runs, Auto) and _narrow(store, scenario, wanted, runs.width_pct):
                 break
+        if client is not None:
+            client.close()
+        tables = _tables(store, scenario, wanted, trajectory)
+        seconds = round(time.monotonic() - started, 3)
+        store.save(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
+    return Result(store.out, **vars(tables), notes=tuple(store.manifest["notes"]))
+
+
+def _tables(store: Store, scenario: Scenario, runs: int, trajectory: Trajectory) -> Any:
+    """The tables of all that is stored."""
     from testbed.aggregate import aggregate
 
     try:
-        tables = aggregate(store, scenario, range(wanted), envelope_times(trajectory))
+        return aggregate(store, scenario, range(runs), envelope_times(trajectory))
     except KeyboardInterrupt:
-        told = f"{store.out}: stopped before the tables were made; all {wanted} runs are stored"
+        told = f"{store.out}: stopped before the tables were made; all {runs} runs are stored"
         raise Interrupted(f"{told}, and the same command with --resume makes them") from None
-    seconds = round(time.time() - started, 3)
-    store.update_manifest(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
-    return Result(store.out, **vars(tables))
+    except DamagedError as error:
+        raise StoreError(f"{error}; the same command with --resume computes it again") from None
 
 
 def plan(
@@ -137,7 +164,16 @@ def plan(
         raise InputError(f"{scenario.name}: --runs auto watches the intervals of claims, but the scenario has none")
     if timeout is not None and timeout <= 0:
         raise InputError(f"--timeout {timeout:g}: must be above 0 s")
-    return Setup(scenario, tuple(str(Path(p).resolve()) for p in plugins), timeout)
+    setup = Setup(scenario, tuple(str(Path(p).resolve()) for p in plugins), timeout)
+    if setup.limit_s is not None and not setup.limit_s <= LONGEST_TIMEOUT_S:
+        raise InputError(
+            f"{'--timeout' if timeout is not None else f'{scenario.source_path}: monte_carlo.timeout_s'} {setup.limit_s:g}: "
+            f"at most {LONGEST_TIMEOUT_S:g} s; leave it out for no limit"
+        )
+    wanted = runs.cap if isinstance(runs, Auto) else scenario.monte_carlo.runs
+    if wanted > MOST_RUNS:
+        raise InputError(f"{scenario.name}: {wanted} runs: at most {MOST_RUNS}")
+    return setup
 
 
 def with_settings(
@@ -217,10 +253,12 @@ def provenance(scenario: Scenario, setup: Setup) -> dict[str, Any]:
         "scenario": scenario.name,
         "variant": scenario.variant,
         "profile": scenario.profile,
+        "reading": scenario.reading,
         "settings": {key: value for key, value in scenario.settings.items() if key != "monte_carlo.seed"},
         "seed": scenario.monte_carlo.seed,
         "runs": scenario.monte_carlo.runs,
         "estimators": [entry.row for entry in scenario.estimators],
+        "notes": notes_of(scenario),
         "plugins": [_as_seen_from_here(Path(p)) for p in setup.plugins],
         "testbed": testbed.__version__,
         "git": git_revision(),
@@ -284,14 +322,16 @@ def _units(setup: Setup, missing: list[int], jobs: int, client: Any) -> Any:
 
 
 def _narrow(store: Store, scenario: Scenario, runs: int, width_pct: float) -> bool:
-    """Whether the interval of every claim is narrower than ``width_pct``."""
-    from testbed.aggregate import claim_values
-    from testbed.claims import measure
+    """Whether the interval of every claim is narrower than ``width_pct``, or will never be because the runs are copies.
 
-    cells = [(row, c.window, c.metric) for c in scenario.active_claims() for row in (c.better, c.than)]
+    Claims on computation time are not looked at, or the number of runs would depend on the machine.
+    """
+    from testbed.aggregate import claim_values
+    from testbed.scoring.quantities import TIME_METRIC
+    from testbed.scoring.verdicts import measure
+
+    claims = [claim for claim in scenario.active_claims() if claim.metric != TIME_METRIC]
+    cells = [(row, c.window, c.metric) for c in claims for row in (c.better, c.than)]
     values = claim_values(store, range(runs), cells)
-    for claim in scenario.active_claims():
-        measured = measure(claim, lambda *cell: values.get(cell), scenario.monte_carlo.seed)
-        if measured is not None and not measured.high - measured.low < width_pct:
-            return False
-    return True
+    effects = [measure(claim, lambda *cell: values.get(cell), scenario.monte_carlo.seed) for claim in claims]
+    return all(e is None or (e.n == 1 and runs > 1) or e.high - e.low < width_pct for e in effects)

@@ -5,17 +5,17 @@ Unknown keys, strings in place of numbers, NaN and infinities are refused. `vali
 
 from __future__ import annotations
 
-import json
+import datetime
 import tomllib
 import types
 import typing
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from testbed.errors import InputError, closest, nearest
+from testbed.errors import InputError, closest, nearest, shown
 
 
 class Table(BaseModel):
@@ -24,22 +24,87 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+LONGEST_NAME = 100
+"""Characters of a name: with what is added to it, it still fits a file's name of 255 bytes."""
+
+
+def _printable(value: str) -> str:
+    if not value.isprintable():
+        raise ValueError("a name is one line of printable characters")
+    return value
+
+
+Name = Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(_printable)]
+"""What names a row, a window or a manoeuvre in tables, figures and file names."""
+
 JSBSIM = "jsbsim"
 """Tag of a union's member that is taken where nobody writes a tag; so no message shows it."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
+DEEPEST = 32
+"""Tables within tables that are read; the deepest key that means something (``variants.x.sensors...``) stands 8 deep."""
+INT64 = range(-(2**63), 2**63)
+"""The integers that TOML promises to carry."""
+TOO_LARGE = "an integer has at most 64 bits"
+
+
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file. Raises InputError when it is missing or not TOML."""
+    """The tables of a TOML file. Raises InputError when it is missing or not TOML that the bench can use."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_bytes().decode()
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 text (byte {error.start} of the file)") from None
+    except ValueError as error:  # a name with a zero byte
+        raise InputError(f"{shown(str(path))}: no such file ({error})") from None
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """TOML text as plain data. Raises InputError, which begins with ``source``, for what is no TOML or beyond any table.
+
+    Beyond: integers of more than 64 bits, dates, and nesting deeper than `DEEPEST`.
+    """
+    try:
+        data = tomllib.loads(text)
+    except RecursionError:
+        raise InputError(f"{source}: not valid TOML: nested too deep") from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+        raise InputError(f"{source}: not valid TOML: {error}") from None
+    except ValueError:  # Python converts at most 4300 digits
+        raise InputError(f"{source}: not valid TOML: {TOO_LARGE}") from None
+    _check_plain(data, source)
+    return data
+
+
+def _check_plain(data: dict[str, Any], source: str) -> None:
+    """Raise InputError for a value that no table has a use for, with its place; without recursion."""
+    waiting: list[tuple[str, Any, int]] = [("", data, 0)]
+    while waiting:
+        place, value, depth = waiting.pop()
+        if depth > DEEPEST:
+            raise InputError(f"{source}: '{place}' lies more than {DEEPEST} tables and lists deep")
+        if isinstance(value, dict):
+            waiting += [(f"{place}.{key}" if place else key, item, depth + 1) for key, item in value.items()]
+        elif isinstance(value, list):
+            waiting += [(f"{place}.{k}", item, depth + 1) for k, item in enumerate(value)]
+        elif isinstance(value, int) and value not in INT64:
+            raise InputError(f"{source}: '{place}': {TOO_LARGE}")
+        elif isinstance(value, datetime.date | datetime.time):
+            raise InputError(f"{source}: '{place}': no key takes a date or a time; a text stands in quotes")
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; a name that no file can have (too long, a zero byte) is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def validate(model: type[Model], data: Mapping[str, Any], source: str, folder: Path | None = None) -> Model:
@@ -67,26 +132,29 @@ def _without_consequences(model: type[BaseModel], problems: list[dict[str, Any]]
 
 def _explain(model: type[BaseModel], problem: dict[str, Any]) -> str:
     loc, kind = problem["loc"], problem["type"]
-    shown = ".".join(str(part) for part in loc if part != JSBSIM) or "(top level)"
+    tagged = [k for k, part in enumerate(loc) if part == JSBSIM and loc[k - 1 : k] == ("flight",)]
+    place = ".".join(str(part) for k, part in enumerate(loc) if k not in tagged) or "(top level)"
     if kind == "extra_forbidden":
         fields = _fields_at(model, loc[:-1])
-        return f"'{shown}' is not a known key; {nearest(str(loc[-1]), fields)}"
+        return f"'{place}' is not a known key; {nearest(str(loc[-1]), fields)}"
     message = problem["msg"].removeprefix("Value error, ")
     if kind == "missing":
-        return f"'{shown}' is missing"
+        return f"'{place}' is missing"
     if kind == "union_tag_not_found":
-        return f"'{shown}': the key {problem['ctx']['discriminator']} is missing"
+        return f"'{place}': the key {problem['ctx']['discriminator']} is missing"
     if kind == "union_tag_invalid":
         context = problem["ctx"]
         key = context["discriminator"].strip(chr(39))
         key = "type" if key.endswith("()") else key  # found by a function, as the tag may be left out
         valid = [name.strip(" '") for name in context["expected_tags"].split(",")]
-        return f"'{shown}': unknown {key} '{context['tag']}'; {nearest(context['tag'], valid)}"
+        return f"'{place}': unknown {key} {shown(context['tag'])}; {nearest(context['tag'], valid)}"
     got = problem.get("input")
-    value = f", got {got!r}" if isinstance(got, str | int | float | bool) else ""
+    if kind in ("dict_type", "model_type", "model_attributes_type"):
+        return f"'{place}' should be a table, got {shown(got)}"
+    value = f", got {shown(got)}" if isinstance(got, str | int | float | bool) else ""
     if kind in ("float_type", "int_type") and isinstance(got, str):
         value += "; numbers stand without quotes"
-    return f"'{shown}': {message[0].lower()}{message[1:]}{value}"
+    return f"'{place}': {message[0].lower()}{message[1:]}{value}"
 
 
 def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
@@ -125,31 +193,8 @@ def _unwrap(annotation: Any) -> list[Any]:
     return []
 
 
-def dump_toml(data: Mapping[str, Any], prefix: str = "") -> str:
-    """Plain data as TOML text: values first, then tables, then lists of tables."""
-    lines: list[str] = []
-    nested: list[str] = []
-    for key, value in data.items():
-        name = f"{prefix}{_toml_key(key)}"
-        if isinstance(value, Mapping):
-            body = dump_toml(value, f"{name}.")
-            nested.append(f"\n[{name}]\n{body}" if value else f"\n[{name}]\n")
-        elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
-            nested += [f"\n[[{name}]]\n{dump_toml(item, f'{name}.')}" for item in value]
-        else:
-            lines.append(f"{_toml_key(key)} = {_toml_value(value)}\n")
-    return "".join(lines + nested)
+def dump_toml(data: Mapping[str, Any]) -> str:
+    """Plain data as TOML text that reads back as the same data."""
+    import tomli_w
 
-
-def _toml_key(key: str) -> str:
-    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else json.dumps(key)
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_toml_key(k)} = {_toml_value(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    return str(value).lower() if isinstance(value, bool) else repr(value)
+    return tomli_w.dumps(data)

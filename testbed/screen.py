@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,6 +22,19 @@ TABLE_METRICS = {
     for metric in COMPARED
     if metric.startswith("rmse_") and metric not in LEFT_OUT
 }
+
+
+def usable_streams() -> None:
+    """Make stdout and stderr take any text: closed ones swallow it, characters beyond their encoding are escaped.
+
+    Names of files may hold bytes that are no text, and a terminal may know ASCII only.
+    """
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def tell_user(text: str) -> None:
@@ -87,8 +101,10 @@ def print_summary(scenario: Scenario, summary: pd.DataFrame, runs: pd.DataFrame)
     chosen = summary[(summary["window"] == "all") & summary["metric"].isin(list(TABLE_METRICS))]
     wide = chosen.pivot(index="estimator", columns="metric", values="mean")
     statuses = runs.groupby("estimator")["status"].agg(lambda s: int((s != "ok").sum()))
+    counted, made = int(summary["n"].max() or 0), runs["run"].nunique()
+    several = f"mean of {counted} runs" if counted != 1 or made == 1 else "one run"
     table = Table(
-        title=f"{scenario.scenario.title or scenario.name}: RMSE, mean of {runs['run'].nunique()} runs, whole flight",
+        title=f"{scenario.scenario.title or scenario.name}: RMSE, {several}, whole flight",
         title_justify="left",
     )
     table.add_column("estimator")
@@ -119,19 +135,24 @@ def print_failures(runs: pd.DataFrame) -> None:
 
 
 def print_claims(claims: pd.DataFrame) -> None:
-    """The claims with the paper's figure, ours and the verdict."""
+    """The claims with the stated figure, ours and the verdict; a source's and our own apart."""
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title="Claims: improvement in %", title_justify="left")
-    for column in ("claim", "paper", "measured", "95 % interval", "verdict"):
-        table.add_column(column, justify="left" if column in ("claim", "verdict") else "right")
-    for row in claims.to_dict("records"):
-        measured, low, high = (_number(row[key], ".1f") for key in ("measured_pct", "ci_low", "ci_high"))
-        table.add_row(
-            row["text"] or row["id"], _number(row["paper_pct"], ".0f"), measured, f"{low} to {high}", row["verdict"]
-        )
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    for origin, title in (("paper", "Claims"), ("own", "Our own claims")):
+        rows = claims[claims["origin"] == origin].to_dict("records")
+        table = Table(title=f"{title}: improvement in %", title_justify="left")
+        for column in ("claim", "stated", "measured", "95 % interval", "median", "verdict"):
+            table.add_column(column, justify="left" if column in ("claim", "verdict") else "right")
+        for row in rows:
+            stated = f"equal ± {row['margin_pct']:g}" if row["kind"] == "equal" else _number(row["paper_pct"], ".0f")
+            measured, low, high, median = (
+                _number(row[key], ".1f") for key in ("measured_pct", "ci_low", "ci_high", "median_pct")
+            )
+            interval = "–" if low == high == "–" else f"{low} to {high}"
+            table.add_row(row["text"] or row["id"], stated, measured, interval, median, row["verdict"])
+        if rows:
+            Console(width=None if sys.stdout.isatty() else 140).print(table)
 
 
 def _number(value: float | None, form: str) -> str:

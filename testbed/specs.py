@@ -152,7 +152,7 @@ def to_dict(spec: Any) -> dict[str, Any]:
 
 
 def from_dict(kind: type, data: dict[str, Any]) -> Any:
-    """Inverse of `to_dict` for a specification class. Raises TypeError on an unknown key."""
+    """Inverse of `to_dict` for a specification class. Raises TypeError on an unknown key or a wrong type."""
     defaults = kind()
     values: dict[str, Any] = {}
     for key, value in data.items():
@@ -161,7 +161,25 @@ def from_dict(kind: type, data: dict[str, Any]) -> Any:
             values[key] = from_dict(type(current), value)
         else:
             values[key] = tuple(value) if isinstance(value, list) else value
+            _check_kind(f"{kind.__name__}.{key}", current, values[key])
     unknown = set(values) - {f.name for f in fields(kind)}
     if unknown:
         raise TypeError(f"{kind.__name__} has no field {', '.join(sorted(unknown))}")
     return kind(**values)
+
+
+def _check_kind(name: str, usual: Any, value: Any) -> None:
+    """Raises TypeError where ``value`` is not of the kind of the default ``usual`` (None: three numbers, or nothing)."""
+
+    def number(v: Any) -> bool:
+        return isinstance(v, int | float) and not isinstance(v, bool) and not math.isnan(v)
+
+    if isinstance(usual, str):
+        right, wanted = isinstance(value, str), "a text"
+    elif isinstance(usual, tuple) or usual is None:
+        three = isinstance(value, tuple) and len(value) == 3 and all(number(v) for v in value)
+        right, wanted = three or (usual is None and value is None), "three numbers"
+    else:
+        right, wanted = number(value), "a number"
+    if not right:
+        raise TypeError(f"{name} should be {wanted}, is {value!r:.60}")

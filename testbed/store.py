@@ -1,66 +1,63 @@
 """The result folder: one atomic file per run, a manifest that says what it is a result of, and how to resume.
 
 ``runs/NNNNNN.parquet`` holds the scores of a run (estimator, window, metric, value) and its error series (estimator,
-metric, series at 1 Hz or slower) in SI units and degrees; its header the status of each estimator. A file is written
-under a temporary name and renamed, so a kill at any moment leaves whole files only.
+metric, series at 1 Hz or slower) in SI units and degrees; its header the status of each estimator, the run's number, and
+the hash of the batch (scenario, seed, plug-ins, version) that it belongs to. A file is written under a temporary name and
+renamed, so a kill at any moment leaves whole files only; what does not carry its batch and the hash of its content is
+never read.
 """
 
 from __future__ import annotations
 
-import errno
+import contextlib
 import hashlib
-import io
 import json
 import os
-import shutil
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from testbed.errors import InputError, TestbedError
+from testbed.checksums import DamagedError, digest, is_sealed, sealed_parquet, unsealed
+from testbed.errors import InputError
+from testbed.files import StoreError, left_over, remove, write_atomic, writing
+from testbed.folders import MANIFEST, Folder, check_own, read_manifest
 from testbed.units import Outcome, UnitResult
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 KIND = "testbed result"
-MANIFEST = "manifest.json"
-_OWN_FILES = (
-    *(
-        "scenario.toml",
-        "metrics.parquet",
-        "runs.parquet",
-        "summary.csv",
-        "timings.csv",
-        "claims.csv",
-        "consistency.csv",
-    ),
-    *(
-        "claims-timings.csv",
-        "improvements.csv",
-        "envelopes.parquet",
-        "report.html",
-        "report.md",
-        "report.json",
-        "tables.tex",
-        MANIFEST,
-    ),
+FORMAT = 2
+"""Of the stored runs; version 0.1 wrote the first, without hashes."""
+SCRATCH = (".scratch/values", ".scratch/series", ".scratch/metrics.parquet")
+"""What only lasts while the tables are made: two `ColumnStore` and the table of metrics."""
+_RUN = re.compile(r"[0-9]{6,}\.parquet")
+__all__ = (
+    "ColumnStore",
+    "Store",
+    "StoreError",
+    "StoredRun",
+    "batch_of",
+    "decode",
+    "encode",
+    "open_result",
+    "optional_part",
+    "read_part",
 )
-_OWN_FOLDERS = ("runs", "details", "figures", ".scratch")
 
 
-class StoreError(TestbedError):
-    """The result folder could not be written (disk full, permissions)."""
+def batch_of(identity: Mapping[str, Any]) -> str:
+    """Hash of what all runs of a batch share."""
+    return digest(json.dumps(dict(identity), sort_keys=True).encode())[:32]
 
 
-def encode(result: UnitResult) -> bytes:
-    """A unit as the bytes of its Parquet file."""
+def encode(result: UnitResult, batch: str = "") -> bytes:
+    """A unit of the batch with this hash as the bytes of its Parquet file."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     rows, series = result.rows, result.series
     empty = [None] * len(series)
@@ -73,10 +70,8 @@ def encode(result: UnitResult) -> bytes:
             "series": pa.array([None] * len(rows) + list(series.values()), pa.list_(pa.float32())),
         }
     )
-    header = {"run": result.run, "outcomes": [asdict(o) for o in result.outcomes]}
-    buffer = io.BytesIO()
-    pq.write_table(table.replace_schema_metadata({"testbed": json.dumps(header).encode()}), buffer)
-    return buffer.getvalue()
+    header = {"batch": batch, "run": result.run, "outcomes": [asdict(o) for o in result.outcomes]}
+    return sealed_parquet(table.replace_schema_metadata({"testbed": json.dumps(header).encode()}))
 
 
 @dataclass(frozen=True)
@@ -90,16 +85,24 @@ class StoredRun:
     series: dict[tuple[str, str], np.ndarray]
 
 
-def decode(source: Path | bytes) -> StoredRun:
-    """Inverse of `encode` (``files`` are not kept)."""
+def decode(source: Path | bytes, batch: str = "", run: int | None = None) -> StoredRun:
+    """Inverse of `encode` (``files`` are not kept).
+
+    Raises DamagedError when the content is not what was written, or is of another batch or another ``run``.
+    """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = (
-        pq.ParquetFile(io.BytesIO(source) if isinstance(source, bytes) else source)
-        .read(use_threads=False)
-        .combine_chunks()
-    )
+    where = "stored run" if isinstance(source, bytes) else str(source)
+    content = unsealed(source, where)
+    table = pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False).combine_chunks()
     header = json.loads(table.schema.metadata[b"testbed"])
+    if header["batch"] != batch or run not in (None, header["run"]):
+        raise DamagedError(
+            f"{where}: is run {header['run']} of another batch"
+            if header["batch"] != batch
+            else f"{where}: is run {header['run']}, not run {run}"
+        )
     scored = len(table) - table["window"].null_count
     keys = table.select(["estimator", "window", "metric"]).replace_schema_metadata(None)
     names = keys.slice(scored).to_pydict()
@@ -112,57 +115,48 @@ def decode(source: Path | bytes) -> StoredRun:
     return StoredRun(header["run"], [Outcome(**o) for o in header["outcomes"]], keys.slice(0, scored), values, series)
 
 
-class Store:
+class Store(Folder):
     """A result folder that is being filled."""
 
-    def __init__(self, out: Path, manifest: dict[str, Any]) -> None:
-        self.out, self.manifest = out, manifest
+    again = "run the same command with --resume"
 
     @classmethod
-    def create(cls, out: str | Path, identity: Mapping[str, Any], scenario_toml: str, resume: bool) -> Store:
-        """Make or reopen a folder. ``identity`` is what a resumed batch must agree on.
+    def create(cls, out: str | Path, identity: Mapping[str, Any], scenario_toml: str, resume: bool) -> Self:
+        """Make or reopen a folder, to be closed. ``identity`` is what a resumed batch must agree on.
 
         Without ``resume`` a finished result is replaced; an unfinished one, or a folder of other things, is refused.
         """
-        out = Path(out)
-        if out.exists() and not out.is_dir():
-            raise InputError(f"{out}: is a file, not a folder for results")
-        previous = read_manifest(out)
+        previous = check_own(Path(out), KIND)
         if resume and previous is not None:
-            for key, value in identity.items():
-                if previous.get("identity", {}).get(key) != value:
-                    raise InputError(
-                        f"{out}: holds results of another batch ({key} was {previous.get('identity', {}).get(key)}, is {value}); "
-                        "resume with the scenario, seed, estimators and plug-ins it was started with, or give another --out"
-                    )
-            return cls(out, previous)
-        if previous is None and out.exists() and any(p.name != "findings.md" for p in out.iterdir()):
-            raise InputError(f"{out}: is not empty and holds no result of the testbed; give another --out")
-        if previous is not None and not previous.get("finished") and any((out / "runs").glob("*.parquet")):
-            raise InputError(
-                f"{out}: holds an unfinished result; complete it with --resume, delete the folder, or give another --out"
-            )
-        with writing(out):
-            if previous is not None:
-                _clear(out)
-            store = cls(out, {"kind": KIND, "identity": dict(identity), "finished": False})
-            (out / "runs").mkdir(parents=True, exist_ok=True)
-            store.write("scenario.toml", scenario_toml.encode())
-            store.save_manifest()
+            _check_identity(out, previous, identity)
+        elif previous is not None:
+            _check_replaceable(Path(out), previous)
+        store = cls.open(out, KIND)
+        try:
+            if not resume or previous is None:
+                store._begin(identity, scenario_toml)
+            elif not (store.out / "scenario.toml").is_file():  # killed, or the disk full, just after the manifest
+                store.write_all({"scenario.toml": scenario_toml.encode()})
+        except BaseException:
+            store.close()
+            raise
         return store
 
-    def update_manifest(self, **values: Any) -> None:
-        """Set entries of the manifest and write it."""
-        self.manifest |= values
-        self.save_manifest()
+    def _begin(self, identity: Mapping[str, Any], scenario_toml: str) -> None:
+        """Start a batch, in place of an earlier one: its manifest goes first, so that no kill leaves old runs under a new name."""
+        old = [name for name in self.files if name != MANIFEST]
+        earlier = self._run_files()
+        self.manifest = {"kind": KIND, "identity": dict(identity), "finished": False, "files": dict.fromkeys(old)}
+        self.save()
+        remove(earlier, self.again)
+        self.delete(old)
+        self.manifest["files"] = {}
+        self.write_all({"scenario.toml": scenario_toml.encode()})
 
-    def save_manifest(self) -> None:
-        """Write ``manifest.json``."""
-        self.write(MANIFEST, (json.dumps(self.manifest, indent=1, ensure_ascii=False) + "\n").encode())
-
-    def write(self, name: str, content: bytes) -> None:
-        """Write a file of the folder atomically. Raises StoreError when the disk does not take it."""
-        write_atomic(self.out / name, content, self.out)
+    @property
+    def batch(self) -> str:
+        """The hash that the runs of this batch carry."""
+        return batch_of(self.manifest["identity"])
 
     def run_path(self, run: int) -> Path:
         """The file of a run."""
@@ -170,43 +164,107 @@ class Store:
 
     def write_run(self, run: int, content: bytes, files: Mapping[str, bytes]) -> None:
         """Store a unit; files for ``details`` go first, so that a stored run is a complete one."""
-        for name, data in files.items():
-            self.write(f"details/{name}", data)
-        self.write(f"runs/{run:06d}.parquet", content)
+        if files:
+            self.write_all({f"details/{name}": data for name, data in files.items()})
+        write_atomic(self.run_path(run), content, self.again)
 
-    def finished_runs(self) -> list[int]:
-        """Runs whose file is whole, in order. Left-over temporary and damaged files are removed."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
+    def finished_runs(self, tell: Callable[[str], None] | None = None) -> list[int]:
+        """Runs that are stored whole, in order; what a kill left is removed.
 
+        A run that is damaged or of another batch is none: ``tell`` is told, and it will be computed again. Raises InputError
+        when a file of somebody else has the name of a run.
+        """
         done = []
-        for path in sorted((self.out / "runs").iterdir()):
-            if path.suffix == ".parquet" and path.stem.isdigit():
-                try:
-                    pq.read_metadata(path)
-                    done.append(int(path.stem))
-                    continue
-                except (pa.ArrowInvalid, OSError):
-                    pass
-            path.unlink()
+        for path in self._run_files():
+            number = int(path.stem)
+            try:
+                decode(path, self.batch, number)
+                if number == 0:
+                    for name in [name for name in self.files if name.startswith("details/")]:
+                        self.check(name)
+            except DamagedError as error:
+                if tell is not None:
+                    tell(f"{error}; run {number} is computed again")
+                continue
+            done.append(number)
         return done
 
+    def _run_files(self) -> list[Path]:
+        """The files of runs, in order; left-over temporary ones are removed. Raises InputError for a file that is none."""
+        folder = self.out / "runs"
+        if not folder.is_dir():
+            return []
+        own = []
+        for path in sorted(folder.iterdir()):
+            if _RUN.fullmatch(left_over(path) or ""):
+                remove([path], self.again)
+            elif _RUN.fullmatch(path.name):
+                if not _is_run(path):
+                    raise InputError(f"{path}: has the name of a stored run but is none; move it away")
+                own.append(path)
+        return own
 
-def read_manifest(out: Path) -> dict[str, Any] | None:
-    """The manifest of a result folder, or None where there is none."""
-    try:
-        manifest = json.loads((out / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return manifest if isinstance(manifest, dict) and manifest.get("kind") == KIND else None
+
+def _is_run(path: Path) -> bool:
+    """Whether a file was once a stored run, whatever has befallen it since: Parquet's first bytes, a seal, or nothing at all."""
+    if path.is_symlink() or not path.is_file():
+        return False
+    content = path.read_bytes()
+    return not content or content.startswith(b"PAR1") or is_sealed(content)
+
+
+def _check_identity(out: str | Path, previous: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
+    """Raise InputError where a folder holds another batch."""
+    known = previous.get("identity")
+    known = known if isinstance(known, dict) else {}
+    for key, value in identity.items():
+        if known.get(key) != value:
+            raise InputError(
+                f"{out}: holds results of another batch ({key} was {known.get(key)}, is {value}); "
+                "resume with the scenario, seed, estimators and plug-ins it was started with, or give another --out"
+            )
+
+
+def _check_replaceable(out: Path, previous: Mapping[str, Any]) -> None:
+    """Raise InputError where a new batch must not take the place of what there is."""
+    if not previous.get("finished") and any((out / "runs").glob("*.parquet")):
+        raise InputError(
+            f"{out}: holds an unfinished result; complete it with --resume, delete the folder, or give another --out"
+        )
+    if previous.get("files") is None:
+        raise InputError(
+            f"{out}: holds a result of version 0.1, which kept no list of what it wrote; delete the folder, or give another --out"
+        )
 
 
 def open_result(out: str | Path) -> Store:
-    """A finished or unfinished result for reading. Raises InputError when the folder is none."""
-    manifest = read_manifest(Path(out))
+    """A finished or unfinished result for reading. Raises InputError when the folder is none, DamagedError for a damaged one."""
+    manifest = read_manifest(out, KIND)
     if manifest is None:
-        raise InputError(f"{out}: no result of the testbed (no {MANIFEST})")
+        raise InputError(f"{out}: no result of the testbed (no {MANIFEST} of one)")
     return Store(Path(out), manifest)
+
+
+def read_part(store: Store, name: str, read: Callable[[Path], Any]) -> Any:
+    """What ``read(path)`` makes of a file of a result that is there and undamaged.
+
+    Raises InputError that names the file when it is not.
+    """
+    path = store.check(name)
+    if not path.exists():
+        raise InputError(f"{path}: is missing")
+    try:
+        return read(path)
+    except InputError:
+        raise
+    except Exception as error:  # whatever a reader of CSV, Parquet, TOML or JSON stumbles over
+        reason = str(error).strip().split("\n")[0][:200]
+        raise InputError(f"{path}: damaged ({type(error).__name__}: {reason})") from error
+
+
+def optional_part(store: Store, name: str, read: Callable[[Path], Any]) -> Any:
+    """`read_part`, None where the manifest lists no such file and there is none."""
+    return read_part(store, name, read) if store.check(name).exists() else None
 
 
 def files_digest(paths: Iterable[str | Path]) -> str:
@@ -220,45 +278,6 @@ def files_digest(paths: Iterable[str | Path]) -> str:
     return digest.hexdigest()[:16]
 
 
-def write_json(path: Path, data: object) -> None:
-    """`write_atomic` of JSON."""
-    write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
-
-
-@contextmanager
-def writing(out: Path) -> Iterator[None]:
-    """Turn the operating system's refusals into a message that says how to go on."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            reason = "the disk is full; free some space, then run the same command with --resume"
-        else:
-            reason = f"cannot write: {error.strerror or error}; once that is mended, run the same command with --resume"
-        raise StoreError(f"{out}: {reason}") from error
-
-
-def write_atomic(path: Path, content: bytes, folder: Path | None = None) -> None:
-    """Write a whole file or none. Raises StoreError, which names ``folder`` or the file's own, when the disk does not take it."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with writing(folder or path.parent):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            temporary.write_bytes(content)
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-
-
-def _clear(out: Path) -> None:
-    """Remove what an earlier batch wrote, and nothing else; the manifest last."""
-    for name in _OWN_FOLDERS:
-        shutil.rmtree(out / name, ignore_errors=True)
-    for name in _OWN_FILES:
-        (out / name).unlink(missing_ok=True)
-
-
 class ColumnStore:
     """Rows of floats on disk, appended one by one and read back column-wise, so that memory does not grow with rows.
 
@@ -266,9 +285,10 @@ class ColumnStore:
     """
 
     def __init__(self, path: Path, dtype: Any = np.float64) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
         self.dtype = np.dtype(dtype)
-        self._file = path.open("w+b")
+        with writing(path.parent.parent, Store.again):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("w+b")
         self._path = path
         self._spans: list[tuple[int, int]] = []
         self._end = 0
@@ -276,14 +296,15 @@ class ColumnStore:
     def append(self, row: np.ndarray) -> None:
         """Add a row."""
         data = np.ascontiguousarray(row, dtype=self.dtype)
-        with writing(self._path.parent.parent):
+        with writing(self._path.parent.parent, Store.again):
             self._file.write(data.data)
         self._spans.append((self._end, len(data)))
         self._end += data.nbytes
 
     def columns(self, start: int, stop: int) -> np.ndarray:
         """(rows, stop - start) values of a block of columns."""
-        self._file.flush()
+        with writing(self._path.parent.parent, Store.again):
+            self._file.flush()
         out = np.full((len(self._spans), stop - start), np.nan, dtype=self.dtype)
         size, descriptor = self.dtype.itemsize, self._file.fileno()
         for k, (offset, length) in enumerate(self._spans):
@@ -297,5 +318,6 @@ class ColumnStore:
 
     def close(self) -> None:
         """Delete the file."""
-        self._file.close()
+        with contextlib.suppress(OSError):  # a full disk, told when it mattered
+            self._file.close()
         self._path.unlink(missing_ok=True)

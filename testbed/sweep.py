@@ -7,22 +7,27 @@ Each point is a result folder of its own, so a sweep resumes as its points do. `
 from __future__ import annotations
 
 import itertools
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from testbed.csv_text import csv_text
 from testbed.errors import InputError
+from testbed.files import write_with
+from testbed.folders import Folder, check_own, read_manifest
 from testbed.report.labels import window_label
 from testbed.runner import plan, prepare, run
 from testbed.scenario import Scenario
+from testbed.schema import parse_toml
 from testbed.scoring.quantities import MAIN, metric_label, unit
-from testbed.store import read_manifest
+from testbed.store import KIND as RESULT
 
 if TYPE_CHECKING:
     import pandas as pd
 
+KIND = "testbed sweep"
 PLOT_METRIC = f"rmse_{MAIN[0]}"
 
 
@@ -32,8 +37,8 @@ def parse_sweep(text: str) -> tuple[str, list[Any]]:
     if not separator or not key.strip() or not values.strip():
         raise InputError(f"--sweep {text}: expected KEY=V1,V2,..., for example sensors.imu.rate_hz=50,100,200")
     try:
-        parsed = tomllib.loads(f"value = [{values}]")["value"]
-    except tomllib.TOMLDecodeError:
+        parsed = parse_toml(f"value = [{values}]", "--sweep")["value"]
+    except InputError:
         parsed = [value.strip() for value in values.split(",")]
     return key.strip(), parsed
 
@@ -53,32 +58,50 @@ def sweep(
     ``announce`` is told each point; ``options`` go to `testbed.runner.run`. All points are flown
     and sensed once, and so checked, before any is run.
     """
-    import pandas as pd
-
     out, keys = Path(out), list(grid)
     if not keys or not all(grid.values()):
         raise InputError("a sweep needs at least one key with at least one value")
     points = [dict(zip(keys, values, strict=True)) for values in itertools.product(*grid.values())]
     scenarios = [load(point) for point in points]
     planned = {key: value for key, value in options.items() if key in signature(plan).parameters}
+    folders = [out / f"point_{number:03d}" for number in range(1, len(points) + 1)]
+    for folder, kind in ((out, KIND), *((folder, RESULT) for folder in folders)):
+        check_own(folder, kind)
     for scenario in scenarios:
         prepare(plan(scenario, **planned))
+    with Folder.open(out, KIND) as own:
+        own.claim(["sweep.csv", "sweep.png"])
+        table = _run_points(points, scenarios, folders, resume, announce, options)
+        own.write("sweep.csv", csv_text(table, float_format="%.10g", lineterminator="\n").encode())
+        plot(table, keys, out / "sweep.png", metric)
+        own.finish("sweep.png")
+        own.save()
+    return table
+
+
+def _run_points(
+    points: Sequence[Mapping[str, Any]],
+    scenarios: Sequence[Scenario],
+    folders: Sequence[Path],
+    resume: bool,
+    announce: Callable[[str], None] | None,
+    options: Mapping[str, Any],
+) -> pd.DataFrame:
+    """Each point's summary behind its settings, in one table."""
+    import pandas as pd
+
     frames = []
-    for number, (point, scenario) in enumerate(zip(points, scenarios, strict=True), 1):
+    for number, (point, scenario, folder) in enumerate(zip(points, scenarios, folders, strict=True), 1):
         label = f"point {number} of {len(points)}: " + ", ".join(
             f"{k.split('.')[-1]} {_cell(v)}" for k, v in point.items()
         )
-        folder = out / f"point_{number:03d}"
-        known = resume and read_manifest(folder) is not None
+        known = resume and read_manifest(folder, RESULT) is not None
         if announce is not None:
             announce(label)
         summary = run(scenario, folder, resume=known, **options).summary
         settings = {key: [_cell(value)] * len(summary) for key, value in point.items()}
         frames.append(pd.concat([pd.DataFrame(settings), summary], axis=1))
-    table = pd.concat(frames, ignore_index=True)
-    table.to_csv(out / "sweep.csv", index=False, float_format="%.10g", lineterminator="\n")
-    plot(table, keys, out / "sweep.png", metric)
-    return table
+    return pd.concat(frames, ignore_index=True)
 
 
 def _cell(value: Any) -> Any:
@@ -117,4 +140,4 @@ def plot(table: pd.DataFrame, keys: Sequence[str], path: Path, metric: str = PLO
     axes[0].set_ylabel(f"{what}\n(mean and 95 % interval)", fontsize=9)
     if len(rows):
         axes[0].legend(fontsize=8)
-    figure.savefig(path, dpi=150)
+    write_with(path, partial(figure.savefig, format="png", dpi=150))

@@ -8,6 +8,7 @@ filter below it, ``[extra.train.sweep]`` lists of settings whose every combinati
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 from collections.abc import Callable
 from pathlib import Path
@@ -15,13 +16,18 @@ from typing import Any
 
 from testbed.dataset import dataset_config, dataset_key, make_dataset, open_dataset
 from testbed.errors import InputError
+from testbed.folders import LOCK, MANIFEST, Folder, check_own
 from testbed.resources import cache_root
 from testbed.scenario import Scenario
+
+KIND = "testbed training"
+FORMAT = 2
+"""Of the stored flights: since the second they carry the hash of their content."""
 
 
 def dataset_folder(scenario: Scenario) -> Path:
     """Where the data set of a scenario is kept unless the user says otherwise."""
-    return cache_root() / "datasets" / f"{scenario.name}-{dataset_key(scenario)}"
+    return cache_root() / "datasets" / f"{scenario.name}-{dataset_key(scenario)}-{FORMAT}"
 
 
 def train(
@@ -36,6 +42,7 @@ def train(
     Raises InputError when the scenario has nothing to train or a setting is wrong.
     """
     trainer = _trainer(scenario)
+    check_own(Path(out), KIND)
     folder = Path(data) if data is not None else dataset_folder(scenario)
     if data is None or not (folder / "manifest.json").exists():
         tell(f"data set: {folder}")
@@ -53,7 +60,20 @@ def train(
             raise InputError(f"{scenario.source_path}: extra.train: {error}") from None
         return Path(made)
 
-    return _sweep(one, grid, Path(out), tell) if grid else one({}, Path(out))
+    with Folder.open(out, KIND) as own:
+        own.save()
+        before = _contents(own.out)
+        try:
+            return _sweep(one, grid, own, tell) if grid else one({}, own.out)
+        finally:
+            own.files.update(dict.fromkeys(_contents(own.out) - before))
+            own.save()
+
+
+def _contents(folder: Path) -> set[str]:
+    """Names of the files in a folder; the manifest is not content."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name not in (LOCK, MANIFEST))
+    return {path.relative_to(folder).as_posix() for path in files}
 
 
 def _trainer(scenario: Scenario) -> Any:
@@ -66,7 +86,7 @@ def _trainer(scenario: Scenario) -> Any:
 
 
 def _sweep(
-    one: Callable[[dict[str, Any], Path], Path], grid: dict[str, list[Any]], out: Path, tell: Callable[[str], None]
+    one: Callable[[dict[str, Any], Path], Path], grid: dict[str, list[Any]], own: Folder, tell: Callable[[str], None]
 ) -> Path:
     """Train every combination; ``sweep.csv`` has one row for each, with its validation error and that before training."""
     rows = []
@@ -74,16 +94,16 @@ def _sweep(
         point = dict(zip(grid, values, strict=True))
         name = "-".join(str(v) for v in values)
         tell(f"structure {name}")
-        folder = one(point, out / name).parent
+        folder = one(point, own.out / name).parent
         with open(folder / "learning-curve.csv", newline="") as file:
             errors = [float(row["validation_deg"]) for row in csv.DictReader(file)]
         improvement = 100.0 * (1.0 - min(errors) / errors[0])
         rows.append(
             point | {"untrained_deg": errors[0], "validation_deg": min(errors), "improvement_pct": f"{improvement:.2f}"}
         )
-    table = out / "sweep.csv"
-    with open(table, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    return table
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+    own.write("sweep.csv", text.getvalue().encode())
+    return own.out / "sweep.csv"

@@ -46,6 +46,8 @@ class Setup:
     timeout_s: float | None = None
     cold_s: float = 60.0
     """Added to the time limit of an estimator's first run in a process, which may have to compile or load a network."""
+    batch: str = ""
+    """Hash that the stored runs carry: what they are runs of."""
 
     @property
     def limit_s(self) -> float | None:

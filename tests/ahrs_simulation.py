@@ -56,7 +56,7 @@ def simulate(seed: int, duration_s: float = 60.0, still: bool = False, noise: fl
         initial,
         mag=MagSamples(t, np.zeros((n, 3)), mag_spec),
     )
-    model = estimator.model(empty)
+    noises = estimator.figures(empty)
     accel, disturbance = noise * rng.standard_normal(3), 0.5 * noise * rng.standard_normal(3)
     gyro, force, field, truth = (np.empty((n, w)) for w in (3, 3, 3, 4))
     down = np.array([0.0, 0.0, gravity(LATITUDE, HEIGHT)])
@@ -64,14 +64,14 @@ def simulate(seed: int, duration_s: float = 60.0, still: bool = False, noise: fl
         rate = np.zeros(3) if still else np.array([0.2 * np.sin(0.3 * t[k]), 0.1 * np.cos(0.2 * t[k]), 0.15])
         q = np.array(quat_normalize(quat_multiply(q, rotvec_to_quat(rate * dt))))
         draws = noise * rng.standard_normal((6, 3))
-        bias = bias + np.sqrt(model[1]) * draws[0]
-        accel = model[7] * accel + np.sqrt(model[2]) * draws[1]
-        disturbance = model[8] * disturbance + np.sqrt(model[3]) * draws[2]
+        bias = bias + np.sqrt(noises.bias_variance) * draws[0]
+        accel = noises.accel_decay * accel + np.sqrt(noises.accel_growth) * draws[1]
+        disturbance = noises.mag_decay * disturbance + np.sqrt(noises.mag_growth) * draws[2]
         c_nb = np.array(quat_to_matrix(q))
         truth[k] = q
-        gyro[k] = rate + bias + np.sqrt(model[0]) * draws[3]
-        force[k] = accel - c_nb.T @ down + np.sqrt(model[4]) * draws[4]
-        field[k] = c_nb.T @ FIELD_N + disturbance + np.sqrt(model[5]) * draws[5]
+        gyro[k] = rate + bias + np.sqrt(noises.gyro_variance) * draws[3]
+        force[k] = accel - c_nb.T @ down + np.sqrt(noises.accel_variance) * draws[4]
+        field[k] = c_nb.T @ FIELD_N + disturbance + np.sqrt(noises.mag_variance) * draws[5]
     log = SensorLog(ImuSamples(t, gyro, force, imu_spec), initial, mag=MagSamples(t, field, mag_spec))
     return Simulated(log, truth, estimator)
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from testbed import earth
-from testbed.formats.kinematics import implied_imu
 from testbed.records import BaroSamples, GnssFixes, ImuSamples, InitialState, MagSamples, Phase, SensorLog, Trajectory
 from testbed.rotations import eulers_to_quats, quats_to_matrices
 from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
@@ -41,7 +40,7 @@ def make_trajectory(duration: float = 40.0, rate: float = 100.0, speed: float = 
     roll = np.full_like(t, np.arctan(speed * turn / 9.81))
     q_nb = eulers_to_quats(np.column_stack([roll, np.full_like(t, 0.05), (yaw + np.pi) % (2 * np.pi) - np.pi]))
     s = slice(None, None, fine)
-    f_b, w_ib_b = implied_imu(t[s], lat[s], h[s], v_n[s], q_nb[s])
+    f_b, w_ib_b = _imu_means(t, lat, h, v_n, q_nb, turn, fine)
     phases = (Phase("turn", 0.0, duration),)
     return Trajectory(
         t[s],
@@ -90,6 +89,30 @@ def make_log(trajectory: Trajectory, noise: float = 1.0, seed: int = 1) -> Senso
     std = np.array([2.0, 2.0, 3.0, 0.1, 0.1, 0.1, 0.01, 0.01, 0.03, 0.03, 0.03, 0.03, 1e-3, 1e-3, 1e-3])
     initial = InitialState(0.0, r.lat[0], r.lon[0], r.h[0], r.v_n[0], r.q_nb[0], np.zeros(3), np.full(3, 1e-4), std)
     return SensorLog(ImuSamples(r.t[1:], r.w_ib_b[1:], r.f_b[1:], IMU), initial, gnss, mag, baro, "turn")
+
+
+def _imu_means(t, lat, h, v_n, q_nb, turn, fine) -> tuple[np.ndarray, np.ndarray]:
+    """Means over ``fine`` intervals (trapezoidal) of specific force and rate of a turn about the vertical, (N,3) each.
+
+    By definition, in n: f = dv/dt + (2 w_ie + w_en) x v - g, w_ib = w_nb + w_ie + w_en; with a level turn rate about down
+    w_nb = (0, 0, turn) and dv/dt = w_nb x v.
+    """
+    w_ie, w_en = (np.column_stack(w) for w in (earth.earth_rate_n(lat), _transport(lat, h, v_n)))
+    w_nb = np.array([0.0, 0.0, turn])
+    g = np.column_stack([0.0 * h, 0.0 * h, earth.gravity(lat, h)])
+    f_n = np.cross(w_nb, v_n) + np.cross(2.0 * w_ie + w_en, v_n) - g
+    c = quats_to_matrices(q_nb)
+    means = []
+    for in_n in (f_n, w_nb + w_ie + w_en):
+        in_b = np.einsum("kji,kj->ki", c, in_n)
+        steps = 0.5 * (in_b[1:] + in_b[:-1])
+        mean = steps.reshape(-1, fine, 3).mean(axis=1)
+        means.append(np.vstack([mean[:1], mean]))
+    return means[0], means[1]
+
+
+def _transport(lat, h, v_n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return earth.transport_rate_n(lat, h, v_n[:, 0], v_n[:, 1])
 
 
 def _integral(rate: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from testbed.tuning import history, tune
 
 if __name__ == "__main__":
     out, after = sys.argv[1], int(sys.argv[2])
-    history.History.__init__.__defaults__ = (0.0, ())  # save after every portion
+    history.History.__init__.__defaults__ = (0.0, (), None)  # save after every portion
 
     def die(progress: tune.Progress) -> None:
         """End without unwinding anything."""

@@ -135,3 +135,15 @@ def test_wrong_input_is_told_and_ends_with_2(tmp_path, arguments, said, capsys, 
         main()
     assert end.value.code == 2
     assert said in capsys.readouterr().err.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    "content", ["", "text", "[]", "{}", '{"key": "x", "flights": [{"file": 3, "split": "train"}]}']
+)
+def test_a_damaged_manifest_is_refused_by_name(tmp_path, content):
+    from testbed.dataset import open_dataset
+    from testbed.errors import InputError
+
+    (tmp_path / "manifest.json").write_text(content)
+    with pytest.raises(InputError, match=r"manifest\.json: not the manifest"):
+        open_dataset(tmp_path)

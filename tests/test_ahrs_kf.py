@@ -5,14 +5,30 @@ import pytest
 from ahrs_simulation import body_errors, simulate
 from scipy.stats import chi2
 
-from estimators.ahrs_kernels import inflate, kalman_gain, observe, predict
+from estimators.ahrs_kernels import (
+    Figures,
+    OwnGain,
+    Samples,
+    inflate,
+    kalman_gain,
+    make_filter,
+    make_work,
+    observe,
+    predict,
+)
 from estimators.ahrs_kf import AhrsKf
 from testbed.errors import InputError
 from testbed.metrics import error_series
 from testbed.records import ATTITUDE_STATES, SensorLog, Trajectory
 from testbed.rotations import attitude_errors, quat_to_matrix, rotvec_to_quat
 
-MODEL = np.array([0.01, 0.02, 0.03, 0.04, 0.5, 0.6, 0.99, 0.9, 0.95, 0.02, 9.8, 0.0, 0.0, 0.1])
+FIGURES = Figures(0.01, 0.02, 0.03, 0.04, 0.5, 0.6, 0.99, 0.9, 0.95, 0.02, 9.8, 0.0, 0.0, 0.1)
+
+
+def filter_of(state, p, gyro, accel, mag, mag_row):
+    """The filter with one IMU sample and one field sample."""
+    samples = Samples(gyro[None], accel[None], mag[None], np.array([mag_row]), np.array([20.0, 3.0, 44.0]))
+    return make_filter(samples, FIGURES, (state, p), OwnGain(np.zeros(1)), OwnGain(np.zeros(1)))
 
 
 def skew(v):
@@ -34,15 +50,17 @@ def test_the_kernel_carries_the_covariance_as_dense_algebra_does(start):
     phi[:3, :3] = np.array(quat_to_matrix(rotvec_to_quat((gyro - state[4:7]) * 0.02))).T
     phi[:3, 3:6], phi[3:, 3:] = -0.02 * np.eye(3), np.diag(np.repeat([0.99, 0.9, 0.95], 3))
     expected = phi @ p @ phi.T + np.diag(np.repeat([0.01 * 0.02**2, 0.02, 0.03, 0.04], 3))
-    predict(state, p, gyro, MODEL)
+    predict(filter_of(state, p, gyro, np.zeros(3), np.zeros(3), -1), 0, 0.02, 1.0)
     np.testing.assert_allclose(p, expected, atol=1e-13)  # elements of about 10, sums of about 20 products
 
 
 @pytest.mark.parametrize("has_mag", [True, False])
 def test_the_gain_is_that_of_dense_algebra(start, has_mag):
     state, p, rng = start
-    z, seen, s, y, k = np.zeros(6), np.zeros(6), np.zeros((6, 6)), np.zeros((6, 12)), np.zeros((6, 12))
-    observe(state, rng.standard_normal(3), rng.standard_normal(3), has_mag, np.array([20.0, 3.0, 44.0]), MODEL, z, seen)
+    accel, mag = rng.standard_normal(3), rng.standard_normal(3)
+    model = filter_of(state, p, np.zeros(3), accel, mag, 0 if has_mag else -1)
+    assert observe(model, 0) == has_mag
+    seen, k, z = model.work.seen, model.work.k, model.work.z
     h = np.zeros((6, 12))
     h[:3, :3], h[:3, 6:9] = skew(seen[:3]), -np.eye(3)
     if has_mag:
@@ -50,7 +68,7 @@ def test_the_gain_is_that_of_dense_algebra(start, has_mag):
     innovation = h @ p @ h.T + np.diag([0.5] * 3 + [0.6] * 3)
     gain = p @ h.T @ np.linalg.inv(innovation)
     updated = p - gain @ h @ p
-    kalman_gain(p, seen, has_mag, MODEL, s, y, k)
+    kalman_gain(p, has_mag, FIGURES, model.work, k)
     np.testing.assert_allclose(k.T, gain, atol=1e-11)  # condition number of S times round-off
     np.testing.assert_allclose(p, updated, atol=1e-10)
     assert np.array_equal(p, p.T)
@@ -62,15 +80,15 @@ def test_a_turn_and_a_residual_make_the_adaptive_filter_doubt_the_accelerometer(
     """A steady turn about z at 0.2 rad/s says V w along y, 3 m/s² unexplained along x say so along x; nothing along z."""
     state, p, _ = start
     state[4:7], p[:3, :3] = 0.0, 1e-9 * np.eye(3)
-    model = np.array([*MODEL[:11], 400.0, 4.0, 0.1])
-    seen, slow, before = np.array([0.0, 0.0, 9.8, 0.0, 0.0, 0.0]), np.zeros(3), p.copy()
+    figures, work, before = Figures(*FIGURES[:11], 400.0, 4.0, 0.1), make_work(), p.copy()
+    work.seen[2] = 9.8
     for _ in range(200):  # the means have come to rest to 0.9**200
         p[:] = before
-        inflate(p, np.array([0.0, 0.0, 0.2]), np.array([3.0, 0.0, -9.8]), state, seen, model, slow)
+        inflate(p, np.array([0.0, 0.0, 0.2]), np.array([3.0, 0.0, -9.8]), state, figures, work)
     added = np.diag(p - before)
     np.testing.assert_allclose(added[6:9], [4.0 * 9.0, 400.0 * 0.04, 0.0], rtol=1e-6)
     assert not added[:6].any() and not added[9:].any()
-    inflate(p, np.array([0.0, 0.0, 0.2]), np.array([3.0, 0.0, -9.8]), state, seen, MODEL, slow)
+    inflate(p, np.array([0.0, 0.0, 0.2]), np.array([3.0, 0.0, -9.8]), state, FIGURES, work)
     np.testing.assert_array_equal(np.diag(p - before), added)  # off: nothing more
 
 
@@ -78,9 +96,9 @@ def test_a_residual_that_doubt_about_the_attitude_explains_is_not_taken_for_acce
     """With 0.5 rad of doubt (1 sigma) about roll and pitch, a residual of 3 m/s² is no news: 4.9 are expected."""
     state, p, _ = start
     p[:3, :3] = 0.25 * np.eye(3)
-    seen, before = np.array([0.0, 0.0, 9.8, 0.0, 0.0, 0.0]), p.copy()
-    model = np.array([*MODEL[:11], 0.0, 4.0, 1.0])
-    inflate(p, state[4:7], np.array([3.0, 3.0, -9.8]), state, seen, model, np.zeros(3))
+    figures, work, before = Figures(*FIGURES[:11], 0.0, 4.0, 1.0), make_work(), p.copy()
+    work.seen[2] = 9.8
+    inflate(p, state[4:7], np.array([3.0, 3.0, -9.8]), state, figures, work)
     np.testing.assert_array_equal(p, before)
 
 

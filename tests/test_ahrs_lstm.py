@@ -10,8 +10,9 @@ from ahrs_simulation import HEIGHT, LATITUDE, simulate
 
 from estimators.ahrs_kf import AhrsKf
 from estimators.ahrs_lessons import Lesson, Teacher, true_acceleration, write_lesson
-from estimators.ahrs_lstm import AhrsLstm, assemble, load_weights, untrained_weights
+from estimators.ahrs_lstm import AhrsLstm
 from estimators.ahrs_lstm_kernels import network_step, work_space
+from estimators.ahrs_weights import assemble, load_weights, untrained_weights
 from testbed.earth import gravity
 from testbed.errors import InputError
 from testbed.rotations import quats_to_matrices

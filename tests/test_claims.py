@@ -1,21 +1,18 @@
-"""Verdicts, sweeps and comparisons of results."""
+"""Claims in a result folder, sweeps and comparisons of results."""
 
 from __future__ import annotations
 
-import json
 import math
 import re
 
 import monte_carlo as mc
-import numpy as np
 import pandas as pd
 import pytest
 
 from testbed import commands, pipeline, runner
-from testbed.claims import verdict
-from testbed.compare import compare_all, compare_results, holm
+from testbed.checksums import read_json, sealed_json
+from testbed.compare import compare_all, compare_results
 from testbed.errors import InputError
-from testbed.statistics import Improvement
 from testbed.sweep import parse_sweep, sweep
 
 
@@ -29,24 +26,6 @@ def real_pipeline():
 
 def run(scenario, out, **options):
     return runner.run(scenario, out, jobs=1, plugins=[mc.PLUGIN], **options)
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "paper", "expected"),
-    [
-        (10.0, 20.0, 15.0, "reproduced"),
-        (10.0, 20.0, 5.0, "reproduced"),
-        (10.0, 20.0, 34.0, "direction reproduced"),
-        (10.0, 20.0, None, "reproduced"),
-        (-5.0, 20.0, 15.0, "not reproduced"),
-        (-20.0, -5.0, 15.0, "reversed"),
-        (-1.0, 1.0, 0.0, "reproduced"),
-        (-3.0, -1.0, 0.0, "reversed"),
-        (math.nan, math.nan, 15.0, "not tested"),
-    ],
-)
-def test_verdicts(low, high, paper, expected):
-    assert verdict(Improvement(0.5 * (low + high), low, high, 0.01, 20), paper) == expected
 
 
 def test_claims_of_another_variant_are_not_tested_and_timings_stand_apart(tmp_path):
@@ -103,12 +82,6 @@ def test_sweep_senses_every_point_before_it_runs_one(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_holm_is_the_textbook_example():
-    # Holm (1979): ordered p-values times n, n-1, ..., kept monotone
-    adjusted = holm(np.array([0.01, 0.04, 0.03, 0.005, math.nan]))
-    assert np.allclose(adjusted, [0.03, 0.06, 0.06, 0.02, math.nan], equal_nan=True)
-
-
 def test_comparison_finds_what_got_worse_and_is_quiet_otherwise(tmp_path):
     def result(name, sigma, seed=1):
         row = {"name": "noisy", "params": {"sigma_m": sigma, "common_m": 5.0}}
@@ -145,7 +118,7 @@ def test_comparison_tells_what_is_missing_and_refuses_another_scenario(tmp_path,
     told = capsys.readouterr().out
     assert re.search(r"missing in .*one: \d+ metrics of b \(all\)", told) and "nan" not in told.lower()
     assert commands.compare(one, both) == 0
-    manifest = json.loads((one / "manifest.json").read_text())
-    (one / "manifest.json").write_text(json.dumps(manifest | {"scenario": "another"}))
+    manifest = read_json(one / "manifest.json")
+    (one / "manifest.json").write_bytes(sealed_json(manifest | {"scenario": "another"}))
     with pytest.raises(InputError, match="only results of one scenario compare"):
         commands.compare(both, one)

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators import direct_kernels, kalman, motion_models, ukf_kernels
+from estimators import direct_kernels, motion_models, ukf_kernels
 from estimators.direct import DirectEkf, Rstekf, Stekf
 from estimators.direct_ukf import DirectUkf
 from estimators.indirect_kf import IndirectKf
-from estimators.motion_models import MODELS, Setting
+from estimators.motion_models import MODELS, Motion, Setting, Step
 from testbed.earth import metres_per_radian, position_difference
 from testbed.errors import InputError
 from testbed.records import NavSolution, SensorLog, Trajectory
@@ -51,17 +51,17 @@ def test_transition_is_the_jacobian_of_the_motion(model: str) -> None:
     # float64 is good to 1e-9 m, which the difference quotient magnifies.
     rng, dt, held = np.random.default_rng(1), 1e-3, np.array([0.3, -0.2, 0.1])
     steps = np.repeat([10.0, 1.0, 1e-4, 1e-3, 1e-4], 3)
-    setting, corrections = a_setting(), np.zeros(6)
+    motion = Motion(MODELS[model], a_setting(), np.zeros(13), held)
     for _ in range(20):
         x, imu = a_state(rng), np.concatenate([rng.uniform(-1.0, 1.0, 3), rng.uniform(-20.0, 20.0, 3)])
-        phi, numeric = np.zeros((15, 15)), np.zeros((15, 15))
-        motion_models.transition(MODELS[model], x, imu, dt, setting, phi)
+        phi, numeric, step = np.zeros((15, 15)), np.zeros((15, 15)), Step(imu, np.zeros(6), dt)
+        motion_models.transition(motion, x, step, phi)
         for j in range(15):
             ends = np.empty((2, 15))
             for row, sign in zip(ends, (1.0, -1.0), strict=True):
                 moved = x.copy()
                 moved[j] += sign * steps[j]
-                motion_models.advance(MODELS[model], moved, imu, corrections, dt, setting, held, row)
+                motion_models.advance(motion, moved, step, row)
             difference = ends[0] - ends[1]
             difference[6:9] = wrap(difference[6:9])
             numeric[:, j] = difference / (2.0 * steps[j])
@@ -96,35 +96,37 @@ def test_unscented_filter_equals_kalman_filter_on_a_linear_problem() -> None:
     transition, sensitivity = rng.standard_normal((n, n)), rng.standard_normal((m, n))
     r, z = rng.uniform(0.5, 2.0, m), rng.standard_normal(m)
     for alpha, beta, kappa in ((1.0, 0.0, 0.0), (0.5, 2.0, 1.0)):
-        spread, weights = ukf_kernels.unscented_weights(n, alpha, beta, kappa)
+        width, weights = ukf_kernels.make_spread(n, alpha, beta, kappa)
         points, factor = np.empty((2 * n + 1, n)), np.empty((n, n))
         mean, covariance = np.empty(n), np.empty((n, n))
-        ukf_kernels.sigma_points(x, p, spread, factor, points)
+        ukf_kernels.sigma_points(x, p, width, factor, points)
         ukf_kernels.unscented_moments(points @ transition.T, weights, 0, 0, mean, covariance)
         wanted = transition @ p @ transition.T
         np.testing.assert_allclose(mean, transition @ x, atol=1e-11)
         np.testing.assert_allclose(covariance, wanted, atol=1e-11 * np.abs(wanted).max())
 
-        readings, s, predicted = np.empty((2 * n + 1, m)), np.empty((m, m)), np.empty(m)
-        ukf_kernels.sigma_points(x, p, spread, factor, points)
-        readings[:] = points @ sensitivity.T
+        work, predicted = direct_kernels.make_work(), np.empty(m)
+        s = work.s.reshape(m, m)
+        ukf_kernels.sigma_points(x, p, width, factor, points)
+        readings = points @ sensitivity.T
         ukf_kernels.unscented_moments(readings, weights, 0, 0, predicted, s)
         s += np.diag(r)
+        work.residual[:] = z - predicted
         by_ukf, p_ukf = x.copy(), p.copy()
-        root_s, scratch = np.linalg.cholesky(s), np.empty((m, n))
-        ukf_kernels.unscented_correct(by_ukf, p_ukf, z - predicted, points - x, readings, weights, s, root_s, scratch)
-        by_kf, p_kf, s_kf = x.copy(), p.copy(), np.empty((m, m))
-        kalman.update(by_kf, p_kf, z - sensitivity @ x, sensitivity, r, s_kf, np.empty((m + 1, n)))
-        np.testing.assert_allclose(s, s_kf, atol=1e-11 * np.abs(s_kf).max())
-        np.testing.assert_allclose(by_ukf, by_kf, atol=1e-10)
-        np.testing.assert_allclose(p_ukf, p_kf, atol=1e-11 * np.abs(p).max())
+        theta = ukf_kernels.unscented_correct(by_ukf, p_ukf, points - x, readings, weights, work)
+        innovation, wanted_s = z - sensitivity @ x, sensitivity @ p @ sensitivity.T + np.diag(r)
+        gain = np.linalg.solve(wanted_s, sensitivity @ p).T
+        np.testing.assert_allclose(s, wanted_s, atol=1e-11 * np.abs(wanted_s).max())
+        np.testing.assert_allclose(by_ukf, x + gain @ innovation, atol=1e-10)
+        np.testing.assert_allclose(p_ukf, p - gain @ sensitivity @ p, atol=1e-11 * np.abs(p).max())
+        assert theta == pytest.approx(innovation @ np.linalg.solve(wanted_s, innovation), rel=1e-9)
 
 
 def test_unscented_mean_of_angles_is_on_the_circle() -> None:
-    spread, weights = ukf_kernels.unscented_weights(1, 1.0, 0.0, 0.0)
+    width, weights = ukf_kernels.make_spread(1, 1.0, 0.0, 0.0)
     points, factor = np.empty((3, 1)), np.empty((1, 1))
     mean, covariance = np.empty(1), np.empty((1, 1))
-    ukf_kernels.sigma_points(np.array([np.pi - 0.01]), np.array([[0.04]]), spread, factor, points)
+    ukf_kernels.sigma_points(np.array([np.pi - 0.01]), np.array([[0.04]]), width, factor, points)
     ukf_kernels.unscented_moments(wrap(points), weights, 0, 1, mean, covariance)
     assert wrap(mean[0] - np.pi + 0.01) == pytest.approx(0.0, abs=1e-12)
     assert covariance[0, 0] == pytest.approx(0.04, abs=1e-12)

@@ -51,7 +51,9 @@ def test_log_round_trip_is_exact(
     assert (read.log.initial.lat, read.log.initial.t) == (log.initial.lat, log.initial.t)
     assert read.log.gnss.outages == log.gnss.outages
     for name, value in differences(trajectory, read.reference).items():
-        rounding = {"lat": angle, "lon": angle, "f_b": angle * 6.4e6 / 0.01, "w_ib_b": angle * 100.0}
+        # Means implied by rows dt apart know a vector that turns by w dt to (w dt)^2 / 12 = 1.2e-7: of 10 m/s2, of 7.3e-5 rad/s.
+        implied = {"f_b": 1.2e-6, "w_ib_b": 9e-12}
+        rounding = {"lat": angle, "lon": angle} | {k: v + angle * 100.0 for k, v in implied.items()}
         assert value <= rounding.get(name, EXACT), name
 
 
@@ -221,3 +223,57 @@ def test_kml_marks_errors_and_outages(trajectory: Trajectory, tmp_path: Path) ->
     assert lines == {"truth", "error 3 to 10 m", "outage 1"}
     assert kml.COLOURS[2] in text
     assert text.count("absolute") == text.count("<Placemark")
+
+
+def edited(folder: Path, part: str, change) -> None:
+    lines = (folder / f"{part}.csv").read_text().splitlines()
+    (folder / f"{part}.csv").write_text("\n".join(change(lines)) + "\n")
+
+
+@pytest.mark.parametrize("part", ["imu", "gnss", "mag", "baro", "reference"])
+def test_empty_reversed_and_doubled_tables_are_refused(
+    part: str, trajectory: Trajectory, log: SensorLog, tmp_path: Path
+) -> None:
+    changes = {
+        "no rows": lambda lines: lines[:1],
+        "time must increase": lambda lines: lines[:1] + lines[:0:-1],
+        "is there 2 times": lambda lines: [line + "," + line.split(",")[1] for line in lines],
+    }
+    for said, change in changes.items():
+        export_log(log, tmp_path, "csv", reference=trajectory)
+        edited(tmp_path, part, change)
+        with pytest.raises(InputError, match=said) as refusal:
+            import_log("csv", tmp_path)
+        assert f"{part}.csv" in str(refusal.value)
+
+
+def test_a_reference_of_two_rows_is_refused(trajectory: Trajectory, log: SensorLog, tmp_path: Path) -> None:
+    export_log(log, tmp_path, "csv", reference=trajectory)
+    edited(tmp_path, "reference", lambda lines: lines[:3])
+    with pytest.raises(InputError, match="reference has 2 rows"):
+        import_log("csv", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("outages",), "x"),
+        (("outages",), [1, 2]),
+        (("outages",), [[3.0, 1.0]]),
+        (("initial", "t"), [1, 2]),
+        (("imu", "gyro", "white_noise"), "much"),
+        (("imu", "rate_hz"), None),
+        (("gnss", "lever_arm_b"), 3.0),
+        (("mag", "name"), 7),
+    ],
+)
+def test_wrong_types_in_a_stored_log_are_refused(log: SensorLog, tmp_path: Path, place: tuple, value: object) -> None:
+    export_log(log, tmp_path, "csv")
+    stored = json.loads((tmp_path / "log.json").read_text())
+    table = stored
+    for key in place[:-1]:
+        table = table[key]
+    table[place[-1]] = value
+    (tmp_path / "log.json").write_text(json.dumps(stored))
+    with pytest.raises(InputError, match=rf"log\.json.*{place[0]}"):
+        import_log("csv", tmp_path)

@@ -7,6 +7,7 @@ import pytest
 
 from estimators import imm_kernels
 from estimators.direct import DirectEkf, Rstekf
+from estimators.direct_kernels import make_work
 from estimators.imm import ImmEkf, ImmRstekf
 from estimators.imm_kernels import Aiding
 from estimators.motion_models import Setting
@@ -125,8 +126,8 @@ def test_angles_of_the_constant_velocity_branch_are_unbiased_and_valid_only_at_r
     def aided(rate: float, scale: float) -> tuple[np.ndarray, np.ndarray]:
         x, p = np.zeros(15), np.diag(np.r_[np.ones(6), np.full(3, 1e2), np.full(6, 1e-12)])
         imu = np.r_[[rate, 0.0, 0.0], scale * force]
-        arrays = (np.empty(3), np.zeros((3, 15)), np.empty(3), np.empty((3, 3)), np.empty((7, 15)))
-        imm_kernels.aid_with_angles(x, p, imu, velocity, np.full(3, 1e-4), setting, aiding, *arrays)
+        seen = np.r_[np.zeros(3), velocity], np.full(6, 1e-4), imu
+        imm_kernels.aid_with_angles(x, p, seen, setting, aiding, make_work())
         return x, p
 
     x, p = aided(0.0, 1.0)

@@ -1,11 +1,13 @@
 """What varies from run to run is what the scenario says, and nothing else."""
 
+import os
+
 import numpy as np
 import pytest
 
 from testbed import make_estimator, pipeline, run, score
 from testbed.errors import InputError
-from testbed.scenario import load_scenario
+from testbed.scenario import list_scenarios, load_scenario, overlays_of
 
 TEXT = """
 [scenario]
@@ -69,6 +71,60 @@ def test_manoeuvres_are_dispersed_within_their_distribution(varied):
     # the mean of 200 uniform draws over 30° scatters by 30 / sqrt(12 * 200) = 0.61°
     assert np.mean(banks) == pytest.approx(25.0, abs=4 * 0.61)
     assert pipeline.flight_varies(scenario)
+
+
+def test_a_factor_keeps_the_side_and_each_manoeuvre_draws_its_own(varied, tmp_path):
+    more = 'manoeuvres = [{ type = "turn", bank_deg = -30.0, duration_s = 4.0 }, '
+    disperse = '"manoeuvres.*.bank_deg" = { factor = [0.5, 1.5] }, "manoeuvres.*.duration_s" = { factor = [0.9, 1.1] }'
+    text = TEXT.replace("VARY", '["manoeuvres"]').replace("manoeuvres = [", more)
+    text = text.replace('"manoeuvres.1.bank_deg" = { uniform = [10.0, 40.0] }', disperse)
+    path = tmp_path / "factor.toml"
+    path.write_text(text)
+    flights = [pipeline.flight_of_run(load_scenario(path), run)[0].manoeuvres for run in range(200)]
+    left, right = (np.array([flight[k].bank_deg for flight in flights]) for k in (0, 2))
+    assert -45.0 <= left.min() < left.max() <= -15.0 and 10.0 <= right.min() < right.max() <= 30.0
+    # the correlation of 200 independent pairs scatters by 1 / sqrt(200) = 0.07
+    assert abs(np.corrcoef(left, right)[0, 1]) < 4 * 0.071
+    assert len({flight[1].duration_s for flight in flights}) == 200
+    path.write_text(text.replace("manoeuvres.*.bank_deg", "manoeuvres.*.radius_m"))
+    with pytest.raises(InputError, match=r"'manoeuvres.\*.radius_m': no row of 'manoeuvres' has 'radius_m'"):
+        pipeline.flight_of_run(load_scenario(path), 0)
+    path.write_text(text.replace("manoeuvres.*.bank_deg", "manoeuvres.1.bank_deg"))
+    with pytest.raises(InputError, match=r"'manoeuvres.1.bank_deg': the flight has no such number"):
+        pipeline.flight_of_run(load_scenario(path), 0)
+
+
+def test_varying_manoeuvres_needs_something_to_draw(tmp_path):
+    path = tmp_path / "nothing.toml"
+    path.write_text(TEXT.replace("VARY", '["manoeuvres"]').replace("disperse =", "# disperse ="))
+    with pytest.raises(InputError, match=r"no table \[monte_carlo.disperse\] says what is drawn"):
+        load_scenario(path)
+
+
+DRAWN = [
+    (name, variant)
+    for name, path in list_scenarios().items()
+    for variant in [None, *overlays_of(path)[1]]
+    if not (variant or name).startswith("navego")  # a recording
+]
+
+
+@pytest.mark.parametrize(("name", "variant"), DRAWN)
+def test_every_shipped_flight_can_be_drawn_anew(name, variant):
+    """Path, bank and speed differ from run to run; with TESTBED_FULL_COUNTS=1 the first three are flown."""
+    scenario = load_scenario(name, variant=variant, overrides={"monte_carlo.vary": ["manoeuvres"]})
+    flights = [pipeline.flight_of_run(scenario, run)[0] for run in range(10)]
+    for value in (
+        lambda f: f.initial.speed_mps,
+        lambda f: f.initial.heading_deg,
+        lambda f: [m.duration_s for m in f.manoeuvres if hasattr(m, "duration_s")],
+        lambda f: [m.bank_deg for m in f.manoeuvres if hasattr(m, "bank_deg")],
+    ):
+        assert len({str(value(flight)) for flight in flights}) == 10
+    if os.environ.get("TESTBED_FULL_COUNTS"):
+        ends = [pipeline.fly(scenario, run) for run in range(3)]
+        assert len({round(float(flight.lat[-1]), 9) for flight in ends}) == 3
+        assert all(pipeline.sense(scenario, flight, run=run) for run, flight in enumerate(ends))
 
 
 def test_turbulence_makes_each_run_a_flight_of_its_own(varied):

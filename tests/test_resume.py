@@ -16,6 +16,7 @@ import psutil
 import pytest
 
 from testbed import pipeline, runner
+from testbed.checksums import read_json, sealed_json
 from testbed.errors import InputError
 
 RUNS = 40
@@ -193,13 +194,13 @@ def test_what_may_be_overwritten(tmp_path):
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.tex").write_text("precious")
-    with pytest.raises(InputError, match="holds no result"):
+    with pytest.raises(InputError, match="holds no testbed result"):
         runner.run(scenario, other, jobs=1, plugins=[mc.PLUGIN])
     out = runner.run(scenario, tmp_path / "out", runs=5, jobs=1, plugins=[mc.PLUGIN]).out
     (out / "findings.md").write_text("what we learned")
     assert len(runner.run(scenario, out, jobs=1, plugins=[mc.PLUGIN]).runs) == 2
     assert len(os.listdir(out / "runs")) == 2 and (out / "findings.md").exists()
     manifest = out / "manifest.json"
-    manifest.write_text(manifest.read_text().replace('"finished": true', '"finished": false'))
+    manifest.write_bytes(sealed_json(read_json(manifest) | {"finished": False}))
     with pytest.raises(InputError, match=r"unfinished result.*--resume"):
         runner.run(scenario, out, jobs=1, plugins=[mc.PLUGIN])

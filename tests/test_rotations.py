@@ -78,3 +78,30 @@ def test_batch_versions_equal_the_single_ones():
         assert tuple(euler[k]) == rotations.quat_to_euler(q[k])
         np.testing.assert_array_equal(rotations.quats_to_matrices(q)[k], rotations.quat_to_matrix(q[k]))
     np.testing.assert_allclose(np.abs(np.sum(rotations.eulers_to_quats(euler) * q, axis=1)), 1.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("yaw_deg", [30.0, 10.0, 123.0, -179.0])
+@pytest.mark.parametrize("pitch_deg", [90.0, -90.0, 89.999_999_999_99, -89.999_999_9, 89.999_9, 89.0])
+def test_euler_angles_at_and_near_the_pole_give_the_attitude_back(pitch_deg, yaw_deg):
+    """Rounding only: 1e-15 rad outside the pole, sqrt(8) x 1e-12 inside; at the pole roll is zero by definition."""
+    euler = np.radians([0.0, pitch_deg, yaw_deg])
+    q = rotations.euler_to_quat(*euler)
+    again = rotations.quat_to_euler(q)
+    error = Rotation.from_quat(rotations.euler_to_quat(*again), scalar_first=True) * (
+        Rotation.from_euler("ZYX", euler[::-1]).inv()
+    )
+    assert error.magnitude() < 3e-12
+    # sin and cos of half the angles carry 1e-16: over cos(pitch) / 2 that is what roll and yaw can be told to.
+    np.testing.assert_allclose(again, euler, atol=1e-14 + 4e-16 / max(np.cos(euler[1]), 4e-12))
+
+
+def test_any_attitude_at_the_pole_comes_back():
+    """Roll and yaw together, of which only the difference is defined: the attitude, not the angles, is what returns."""
+    for roll, yaw, sign in ((0.4, 1.1, 1.0), (-2.0, 2.5, 1.0), (3.0, -3.0, -1.0)):
+        q = np.array(rotations.euler_to_quat(roll, sign * np.pi / 2, yaw))
+        again = rotations.quat_to_euler(q)
+        assert again[0] == 0.0
+        assert again[2] == pytest.approx(rotations.wrap(yaw - sign * roll), abs=1e-14)
+        assert rotations.quat_to_rotvec(
+            rotations.quat_multiply(rotations.euler_to_quat(*again), q * [1, -1, -1, -1])
+        ) == (pytest.approx((0.0, 0.0, 0.0), abs=3e-12))

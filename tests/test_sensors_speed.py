@@ -5,6 +5,7 @@ import pytest
 from test_drive import TOWN, made
 
 from testbed.errors import InputError
+from testbed.formats import export_log
 from testbed.records import SensorLog
 from testbed.schema import validate
 from testbed.sensors import sense_flight
@@ -110,9 +111,12 @@ def test_logs_with_them_are_saved_and_read(town, tmp_path):
     assert loaded.odometer.spec == log.odometer.spec and list(loaded.aiding) == ["gnss", "odometer"]
 
 
-def test_a_log_says_what_it_lacks(town):
+def test_a_log_says_what_it_lacks(town, tmp_path):
     log, _ = sense(town, odometer={})
     assert log.gnss is None and log.airspeed is None
+    with pytest.raises(InputError, match="'navego' has no place for odometer"):
+        export_log(log, tmp_path / "mat", "navego")
+    assert not (tmp_path / "mat").exists()
     with pytest.raises(AttributeError, match="has no 'odometr'; this one has imu, odometer"):
         _ = log.odometr
     with pytest.raises(InputError, match="no odometer named 'lorry'"):

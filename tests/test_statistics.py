@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from testbed import statistics
+from testbed.scoring import statistics
+from testbed.scoring.effects import effect
 from testbed.store import ColumnStore
 
 REPETITIONS = 500
@@ -32,7 +33,7 @@ def test_improvement_interval_covers_the_true_improvement():
     for _ in range(REPETITIONS):
         common = rng.gamma(9.0, 1.0, 60)  # both filters suffer from the same sensors
         a, b = 0.7 * common + rng.normal(0, 0.5, 60), common + rng.normal(0, 0.5, 60)
-        found = statistics.improvement(a, b)
+        found = effect(a, b)
         covered += found.low <= 30.0 <= found.high
     assert abs(covered / REPETITIONS - 0.95) <= 0.02
 
@@ -41,8 +42,8 @@ def test_pairing_narrows_the_interval():
     rng = np.random.default_rng(4)
     common = rng.gamma(2.0, 5.0, 100)
     a, b = 0.8 * common + rng.normal(0, 0.1, 100), common
-    paired = statistics.improvement(a, b)
-    shuffled = statistics.improvement(a, rng.permutation(b))
+    paired = effect(a, b)
+    shuffled = effect(a, rng.permutation(b))
     assert paired.high - paired.low < 0.1 * (shuffled.high - shuffled.low)
     assert abs(paired.percent - 20.0) < 4 * 0.1  # the noise leaves 0.1 % of the mean, 10, after 100 runs
 
@@ -59,11 +60,16 @@ def test_agrees_with_scipy_bootstrap():
 
 def test_p_values_are_uniform_without_a_difference_and_small_with_one():
     rng = np.random.default_rng(7)
-    p = np.array([statistics.signed_rank(*rng.normal(size=(2, 40))) for _ in range(300)])
-    assert stats.kstest(p, "uniform").pvalue > 0.001
+    pairs = rng.normal(size=(300, 2, 40))
+    for paired in (True, False):
+        p = np.array([statistics.difference_p(a, b, paired) for a, b in pairs])
+        assert stats.kstest(p, "uniform").pvalue > 0.001
+    a, b = pairs[0, 0], pairs[1, 0, :30]
+    assert statistics.difference_p(a, pairs[0, 1], True) == pytest.approx(stats.ttest_rel(a, pairs[0, 1]).pvalue)
+    assert statistics.difference_p(a, b, False) == pytest.approx(stats.ttest_ind(a, b, equal_var=False).pvalue)
     a = rng.normal(1.0, 0.1, 30)
-    assert statistics.signed_rank(a, a + 0.2 + rng.normal(0, 0.1, 30)) < 1e-4
-    assert statistics.signed_rank(a, a) == 1.0
+    assert statistics.difference_p(a, a + 0.2 + rng.normal(0, 0.1, 30), True) < 1e-4
+    assert statistics.difference_p(a, a, True) == 1.0
 
 
 def test_describe_leaves_out_what_is_missing():

@@ -190,3 +190,53 @@ def test_configuration_is_checked():
     ):
         with pytest.raises(InputError, match=message):
             validate(TuneConfig, wrong, "test")
+
+
+def deaf_filter():
+    """An `indirect-kf` whose own run ignores its parameters."""
+    from estimators.indirect_kf import IndirectKf
+
+    @dataclass(frozen=True)
+    class Deaf(IndirectKf):
+        name = "deaf"
+
+        def run(self, log):
+            return IndirectKf().run(log)
+
+    return Deaf
+
+
+def test_a_subclass_with_its_own_run_is_scored_by_its_own_run(flight, monkeypatch):
+    """The parent's fast path would tell its candidates apart; its own run cannot."""
+    monkeypatch.setitem(registry._plugins, "deaf", deaf_filter())
+    space = make_space("indirect-kf", EIGHTEEN)
+    with Objective("deaf", {}, space, [flight], ["rmse_north_m"]) as own:
+        assert not own.fast
+        values = own(np.array([np.zeros(18), np.full(18, 1.5)]))
+    assert values[0] == values[1]
+
+
+def test_fast_paths_belong_to_the_class_that_defines_run():
+    class Parent:
+        name = "parent"
+
+        def run(self, log):
+            return self.gain(log)
+
+        def gain(self, log):
+            return log
+
+        @staticmethod
+        def searcher(log):
+            return log
+
+    relatives = {
+        "renamed": type("A", (Parent,), {"name": "renamed", "step": 0.5}),
+        "own run": type("B", (Parent,), {"run": lambda self, log: None}),
+        "own part of run": type("C", (Parent,), {"gain": lambda self, log: None}),
+        "own of both": type("D", (Parent,), {"run": lambda self, log: None, "searcher": staticmethod(abs)}),
+        "below an own run": type("E", (type("F", (Parent,), {"run": lambda self, log: None}),), {}),
+        "none at all": type("G", (), {"run": lambda self, log: None}),
+    }
+    allowed = {key: registry.fast_path(kind, "searcher") is not None for key, kind in relatives.items()}
+    assert [key for key, fast in allowed.items() if fast] == ["renamed", "own of both"]

@@ -13,8 +13,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from test_tuning_objective import deaf_filter
 
+from testbed import registry
 from testbed.errors import InputError
+from testbed.files import write_json
 from testbed.scenario import Scenario, load_scenario
 from testbed.tuning import tables, tune
 from testbed.tuning.command import tune as tune_command
@@ -143,7 +146,7 @@ def test_another_study_is_refused(study, tmp_path):
     with pytest.raises(InputError, match="another scenario, space or objective"):
         tune.tune(scenario(population=6), study, jobs=1, resume=True)
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match="no tuning study"):
+    with pytest.raises(InputError, match="no testbed tuning"):
         tune.tune(scenario(), tmp_path, jobs=1)
     with pytest.raises(InputError, match="did you mean 'pso-0004-seed1'"):
         tune.tune(scenario(), study, jobs=1, only="pso-004-seed1")
@@ -153,16 +156,25 @@ def test_another_study_is_refused(study, tmp_path):
 def test_a_changed_filter_is_noticed(study, tmp_path):
     """A stored value that the estimator no longer gives stops the resume."""
     space = tune.scenario_space(scenario(), tune_config(scenario()))
-    history = History(tmp_path / "s" / "evaluations" / "pso-0004-seed1.parquet", space.names)
+    identity = tune.identity(scenario(), tune_config(scenario()))
+    history = History(tmp_path / "s" / "evaluations" / "pso-0004-seed1.parquet", space.names, study=identity)
     true = History(study / "evaluations" / "pso-0004-seed1.parquet", space.names)
     history.add(true.x, true.f * 1.001, 1.0)
     history.save()
-    tune.write_json(
-        tmp_path / "s" / "manifest.json",
-        {"kind": tune.KIND, "identity": tune.identity(scenario(), tune_config(scenario()))},
-    )
+    listed = {"evaluations/pso-0004-seed1.parquet": None}
+    write_json(tmp_path / "s" / "manifest.json", {"kind": tune.KIND, "identity": identity, "files": listed})
     with pytest.raises(InputError, match="have changed since"):
         tune.tune(scenario(), tmp_path / "s", jobs=1, resume=True)
+
+
+def test_constant_objective_is_refused(tmp_path, monkeypatch):
+    """A filter that ignores its parameters: 10 equal evaluations, no best, exit code 2."""
+    monkeypatch.setitem(registry._plugins, "deaf", deaf_filter())
+    made = scenario(algorithms=["pso"], innovation_search="none", iterations=[2])
+    made = made.model_copy(update={"estimators": [made.estimators[0].model_copy(update={"name": "deaf"})]})
+    with pytest.raises(InputError, match="for each of 10 candidates"):
+        tune.tune(made, tmp_path / "s", jobs=1)
+    assert not (tmp_path / "s" / "best").exists()
 
 
 def test_parameter_file_gives_the_stored_objective(study, tmp_path):

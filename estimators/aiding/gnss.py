@@ -12,6 +12,7 @@ from numba import njit
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
 from estimators.core.filter import attitude, triple
 from estimators.core.lanes import get, put, set_entry
+from estimators.core.lever_arm import lever_arm
 from testbed import earth
 from testbed.errors import InputError
 from testbed.records import GnssFixes, SensorLog
@@ -74,10 +75,7 @@ def place_of_antenna(state, parameters, z, residual, h, row):
 def velocity_of_antenna(state, imu, parameters, z, residual, h, row):
     """Rows ``row`` to ``row`` + 2: velocity north, east, down (m/s)."""
     lever, m = triple(parameters, 0), quat_to_matrix(attitude(state))
-    arm = matrix_rotate(m, lever)
-    sweep = matrix_rotate(m, cross(triple(imu, 0), lever))
-    earth_n, _, earth_d = earth.earth_rate_n(get(state, 0))
-    drag = cross((earth_n, 0.0, earth_d), arm)
+    arm, sweep, drag = lever_arm(m, lever, triple(imu, 0), get(state, 0))
     moving = (sweep[0] - drag[0], sweep[1] - drag[1], sweep[2] - drag[2])
     for i in range(3):
         put(residual, row + i, get(z, row + i) - (get(state, 3 + i) + moving[i]))

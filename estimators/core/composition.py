@@ -18,7 +18,19 @@ from estimators.blocks import Block
 from estimators.blocks.imu import white_density
 from estimators.core import calls
 from estimators.core.calls import address
-from estimators.core.filter import AUX, INVARIANT, PHI, REJECTED, Blocks, Events, Inputs, Model, Recording, Work
+from estimators.core.filter import (
+    AUX,
+    INVARIANT,
+    PHI,
+    REJECTED,
+    Blocks,
+    Events,
+    Inputs,
+    Model,
+    Recording,
+    Work,
+    empty_recording,
+)
 from estimators.core.lanes import WIDTH, aligned
 from estimators.core.parts import find_aiding, find_block, find_policy
 from estimators.core.propagate import NAV, Coupling, make_covariance, make_covariances
@@ -355,16 +367,7 @@ def _events(prepared: Prepared, r: Array, signature: Any) -> Events:
 
 def make_recording(prepared: Prepared, stride: int = 1) -> Recording:
     """Room for what a run leaves behind: every ``stride``-th sample, and covariances about once a second."""
-    t, n = prepared.log.imu.t, len(prepared.states)
+    t = prepared.log.imu.t
     every = min(len(t), max(1, round(SNAPSHOT_INTERVAL_S * (len(t) - 1) / (t[-1] - t[0]))))
-    rows, count, m = len(t) // stride, len(prepared.events), _rows(prepared)
-    return Recording(
-        stride,
-        np.empty((rows, len(prepared.start))),
-        np.empty((rows, n)),
-        every,
-        np.empty((len(t) // every, n, n)),
-        np.full((count, m), np.nan),
-        np.full((count, m, m), np.nan),
-        np.full(count, np.nan),
-    )
+    sizes = len(prepared.start), len(prepared.states), _rows(prepared)
+    return empty_recording(len(t), len(prepared.events), sizes, every, stride)

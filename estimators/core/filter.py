@@ -27,7 +27,7 @@ from estimators.core.propagate import (
     turn_position_errors,
     turn_velocity_errors,
 )
-from estimators.core.timeline import steps
+from estimators.core.timeline import INLINED, steps
 from estimators.core.update import innovation_covariance, update
 from estimators.strapdown import advance, compensate, coning_sculling
 from testbed import earth
@@ -112,7 +112,7 @@ class Work(NamedTuple):
     h: Array
     """(m,n)"""
     x: Array
-    """(n,) what an update adds to the state: minus the estimated error."""
+    """(n,) what an update adds to the state: minus the estimated error; position and velocity as `retract` moved them."""
     scalars: Array
     """(m,2) see `update`"""
     scratch: Array
@@ -158,6 +158,24 @@ class Recording(NamedTuple):
     """(E,) what the policy returned: 1 a plain update, `REJECTED` none, more a faded covariance"""
 
 
+def empty_recording(samples: int, events: int, sizes: tuple[int, int, int], every: int, stride: int = 1) -> Recording:
+    """Room for a run over so many IMU samples and events; ``sizes``: of the nominal state, the error state, an innovation.
+
+    A covariance is kept every ``every`` samples, state and sigmas every ``stride``.
+    """
+    state, n, m = sizes
+    return Recording(
+        stride,
+        np.empty((samples // stride, state)),
+        np.empty((samples // stride, n)),
+        every,
+        np.empty((samples // every, n, n)),
+        np.full((events, m), np.nan),
+        np.full((events, m, m), np.nan),
+        np.full(events, np.nan),
+    )
+
+
 def note_update(keep, model, e, count, fading):
     """Keep what event ``e``, of ``count`` rows, was to the filter. Kernels only."""
     raise NotImplementedError("kernels only")
@@ -168,12 +186,12 @@ def note_sample(keep, model, k):
     raise NotImplementedError("kernels only")
 
 
-@overload(note_update)
+@overload(note_update, jit_options=INLINED)
 def _note_update(keep, model, e, count, fading):
     return _KEEPERS[keep.instance_class][0]
 
 
-@overload(note_sample)
+@overload(note_sample, jit_options=INLINED)
 def _note_sample(keep, model, k):
     return _KEEPERS[keep.instance_class][1]
 
@@ -266,6 +284,20 @@ def begin(model, k, whole):
 @njit(cache=True, nogil=True, _nrt=False)
 def predict(model, k, dt, part):
     """Carry state and covariance ``dt`` (s) on within IMU sample ``k``, ``part`` of its interval."""
+    motion, middle = move(model, k, dt, part)
+    spread(model, motion, middle, dt)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def spread(model, motion, middle, dt):
+    """Carry the covariance over a step of ``dt`` that `move` made."""
+    propagate(model.p, model.propagation, model.coupling, motion, dt)
+    add_noise(model.p, middle, model.inputs.white, model.inputs.drive, dt)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def move(model, k, dt, part):
+    """The state's share of `predict`: returns the motion as `propagate` takes it, and C_nb in the middle of the step."""
     state, clean, corrections = model.state, model.work.clean, model.work.corrections
     decay, centre, keep, last_dt = model.inputs.decay, model.inputs.centre, model.coupling.keep, model.work.dt
     _clean(model, k)
@@ -293,14 +325,13 @@ def predict(model, k, dt, part):
     spans = model.coupling.spans
     _turn(middle, model.blocks.accel, model.coupling.accel, spans[0], spans[1])
     _turn(middle, model.blocks.gyro, model.coupling.gyro, spans[2], spans[3])
-    propagate(model.p, model.propagation, model.coupling, (rates, force, v), dt)
-    add_noise(model.p, middle, model.inputs.white, model.inputs.drive, dt)
+    return (rates, force, v), middle
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def correct(model, k, e):
-    """Use event ``e`` at the present state, which lies within IMU sample ``k``."""
-    events, x, p = model.events, model.work.x, model.p
+def observe(model, k, e):
+    """Residual, H and R of event ``e`` at the present state into the work arrays; returns the number of rows."""
+    events = model.events
     kind = events.kind[e]
     count = events.rows[kind]
     residual, h, r = model.work.residual[:count], model.work.h[:count], model.work.r[:count]
@@ -311,6 +342,15 @@ def correct(model, k, e):
         for i in range(h.shape[1]):
             set_entry(h, a, i, 0.0)
     _measure(model, kind, e, residual, h)
+    return count
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def correct(model, k, e):
+    """Use event ``e`` at the present state, which lies within IMU sample ``k``."""
+    x, p, kind = model.work.x, model.p, model.events.kind[e]
+    count = observe(model, k, e)
+    residual, h, r = model.work.residual[:count], model.work.h[:count], model.work.r[:count]
     fading = _judge(model, kind, residual, h, r)
     if fading != REJECTED:
         for i in range(h.shape[1]):
@@ -362,6 +402,8 @@ def retract(model):
     turn_velocity_errors(model.p, n, v)
     if model.error == INVARIANT:
         turn_attitude_errors(model.p, n, scaled(turn, -0.5))
+    put_triple(x, 0, place)
+    put_triple(x, 3, v)
 
 
 @njit(cache=True, nogil=True, _nrt=False)

@@ -128,6 +128,18 @@ def _moved(source, first, step, coupling, motion, dt):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
+def transition(unit, rows, coupling, motion, dt):
+    """Nine rows of Phi, (9, whole registers) in the table ``rows``; ``unit``: the scratch of a covariance that is 1.
+
+    Further rows of Phi are ``keep`` on the diagonal.
+    """
+    blocks = rows.shape[0] // NAV
+    couples = coupling.spans, coupling.accel, coupling.gyro
+    for b in range(blocks):
+        _store_errors(rows, b, blocks, _moved(unit, b, blocks, couples, motion, dt))
+
+
+@njit(cache=True, nogil=True, _nrt=False)
 def _columns_as_lanes(p, scratch, coupling, motion, dt):
     n, keep, table, fade = p.shape[0], coupling.keep, scratch.p, scratch.keep
     blocks = p.shape[1] // WIDTH

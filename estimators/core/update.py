@@ -109,3 +109,22 @@ def cholesky(s, factor):
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
             factor[i, j] = total / root if root != 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def whiten(covariance, residual, factor, white):
+    """``factor`` (m,m) the lower Cholesky factor of S = ``covariance`` (m,m), and ``white`` (m,) = factor^-1 residual.
+
+    Returns v' S^-1 v and log det S; not numbers where S is not positive definite, as in a filter that has diverged.
+    """
+    square, log_det = 0.0, 0.0
+    cholesky(covariance, factor)
+    for i in range(residual.shape[0]):
+        root = factor[i, i] if factor[i, i] > 0.0 else np.nan
+        left = residual[i]
+        for k in range(i):
+            left -= factor[i, k] * white[k]
+        white[i] = left / root
+        square += white[i] * white[i]
+        log_det += 2.0 * np.log(root)
+    return square, log_det

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.core.composition import Composition, Prepared, prepare, run
+from estimators.core.smoother import smooth
+from estimators.core.stepwise import Stepwise
 from estimators.policies import positive
 from testbed.errors import InputError, nearest
 from testbed.records import NavSolution, SensorLog
@@ -29,6 +31,7 @@ class Eskf:
     or a table with one per aiding. ``error``: "phi" or "invariant". ``options``: of an aiding, by its name.
     ``noise_scale``: factors on root spectral densities of "accel" and "gyro" noise, and of what drives a block, by name;
     ``std_scale``: factors on the standard deviations of an aiding's measurements, by name. 1 is the data sheet.
+    ``smooth``: states and deviations given the whole log; innovations stay those of the filter.
     """
 
     states: tuple[str, ...] = ("accel-bias", "gyro-bias")
@@ -38,6 +41,7 @@ class Eskf:
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     noise_scale: Mapping[str, float] = field(default_factory=dict)
     std_scale: Mapping[str, float] = field(default_factory=dict)
+    smooth: bool = False
 
     name = "eskf"
 
@@ -72,9 +76,16 @@ class Eskf:
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it lacks what a part needs."""
-        return run(self.prepare(log))
+        prepared = self.prepared(log)
+        return smooth(prepared) if self.smooth else run(prepared)
 
-    def prepare(self, log: SensorLog) -> Prepared:
+    def start(self, log: SensorLog) -> Stepwise:
+        """The filter at the start of a log, to be led step by step. Raises InputError as `run` does, and with ``smooth``."""
+        if self.smooth:
+            raise InputError(f"{self.name}: smooth = true needs the whole log; start a filter without it")
+        return Stepwise(self.prepared(log))
+
+    def prepared(self, log: SensorLog) -> Prepared:
         """What a run on this log starts from."""
         try:
             prepared = prepare(self.composition, log)

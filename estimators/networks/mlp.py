@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.networks.tensor_file import check_shapes, read_arrays, write_arrays
 from testbed.errors import InputError
 
 Array = NDArray[np.float64]
@@ -93,31 +94,26 @@ def new_mlp(x: Array, y: Array, neurons: int, seed: int) -> Mlp:
 
 def save_networks(path: str | Path, networks: Mapping[str, Mlp], meta: Mapping[str, Any] | None = None) -> None:
     """Write networks by name to one safetensors file; ``meta`` is plain data kept beside them."""
-    from safetensors.numpy import save_file
-
-    tensors = {
-        f"{name}.{key}": np.ascontiguousarray(getattr(net, key)) for name, net in networks.items() for key in _TENSORS
-    }
+    tensors = {f"{name}.{key}": getattr(net, key) for name, net in networks.items() for key in _TENSORS}
     header = {"neurons": {name: net.neurons for name, net in networks.items()}, "meta": dict(meta or {})}
-    save_file(tensors, str(path), metadata={"testbed": json.dumps(header, sort_keys=True)})
+    write_arrays(Path(path), tensors, {"testbed": json.dumps(header, sort_keys=True)})
 
 
 def load_networks(path: str | Path) -> tuple[dict[str, Mlp], dict[str, Any]]:
     """Read what `save_networks` wrote: (networks by name, meta). Raises InputError when the file is something else."""
-    from safetensors import SafetensorError, safe_open
-
+    path = Path(path)
+    arrays, texts = read_arrays(path, "a network file")
     try:
-        with safe_open(str(path), framework="numpy") as file:
-            text = (file.metadata() or {}).get("testbed")
-            if text is None:
-                raise InputError(f"{path}: a safetensors file, but not of this bench's networks")
-            header = json.loads(text)
-            networks = {
-                name: Mlp(neurons, *(file.get_tensor(f"{name}.{key}") for key in _TENSORS))
-                for name, neurons in header["neurons"].items()
-            }
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except SafetensorError as error:
-        raise InputError(f"{path}: not a network file ({error})") from None
-    return networks, header["meta"]
+        header = json.loads(texts["testbed"])
+        neurons, meta = dict(header["neurons"]), dict(header["meta"])
+    except (KeyError, ValueError, TypeError):
+        raise InputError(f"{path}: a safetensors file, but not of this bench's networks") from None
+    networks = {}
+    for name, count in neurons.items():
+        inputs = np.size(arrays.get(f"{name}.input_centre", ()))
+        sizes = ((inputs + 2) * count + 1, inputs, inputs, 2)
+        check_shapes(path, arrays, {f"{name}.{key}": (size,) for key, size in zip(_TENSORS, sizes, strict=True)})
+        networks[name] = Mlp(count, *(np.asarray(arrays[f"{name}.{key}"], dtype=np.float64) for key in _TENSORS))
+        if not (networks[name].input_span > 0.0).all() or not networks[name].output_scaling[1] > 0.0:
+            raise InputError(f"{path}: the scales of network '{name}' must be above 0")
+    return networks, meta

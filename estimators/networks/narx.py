@@ -68,7 +68,7 @@ class Narx:
     def load(cls, path: str | Path) -> Narx:
         """Read what `save` wrote."""
         networks, meta = load_networks(path)
-        if "narx" not in meta:
+        if "narx" not in meta or "narx" not in networks:
             raise InputError(f"{path}: holds networks without lags, expected a NARX network")
         return cls(networks["narx"], **meta["narx"])
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from estimators.core.update import cholesky
+from estimators.core.update import whiten
 from estimators.policies import Array, Policy, add_policy, fraction
 
 
@@ -27,16 +27,7 @@ def threshold(rows: int, gate: float = 0.999) -> Array:
 def normalised_square(residual, s):
     """v' S^-1 v."""
     m = residual.shape[0]
-    factor, white = np.zeros((m, m)), np.zeros(m)
-    cholesky(s, factor)
-    total = 0.0
-    for i in range(m):
-        left = residual[i]
-        for j in range(i):
-            left -= factor[i, j] * white[j]
-        white[i] = left / factor[i, i]
-        total += white[i] * white[i]
-    return total
+    return whiten(s, residual, np.zeros((m, m)), np.zeros(m))[0]
 
 
 def judge(memory, residual, s, r, h, p):

@@ -7,17 +7,22 @@ training flights of ``[extra.training]``. Writes ``ranking.csv``, ``lags.csv`` a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from testbed.csv_text import csv_text
 from testbed.errors import InputError, nearest
 from testbed.features.learning import LearningData
 from testbed.features.lipschitz import LagCurve, lag_curve
 from testbed.features.mrmr import Ranked, rank_mrmr
+from testbed.files import write_with
+from testbed.folders import Folder, check_own
 from testbed.scenario import EstimatorConfig, Scenario
 
+KIND = "testbed features"
 MAX_LAG = 6
 
 
@@ -35,6 +40,7 @@ def features(
     from testbed.registry import make_estimator
     from testbed.training_flights import training_flights
 
+    check_own(Path(out), KIND)
     entry = _learner(scenario, estimator)
     student: Any = make_estimator(entry.name, **entry.params)
     tell(f"{entry.row}: learning data of the training flights")
@@ -48,11 +54,13 @@ def features(
         curves[target] = lag_curve(data.candidates[:, chosen], y, MAX_LAG, present_input=True)
         tell(f"{target:>8}: {ranking_line(rankings[target])}")
         tell(f"{'':>8}  lags {curves[target].order()}: " + " ".join(f"{v:.3g}" for v in curves[target].index))
-    folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    _write_tables(folder, rankings, curves)
-    plot_lags(curves, folder / "lags.png")
-    return folder
+    with Folder.open(out, KIND) as own:
+        own.claim(["ranking.csv", "lags.csv", "lags.png"])
+        _write_tables(own, rankings, curves)
+        plot_lags(curves, own.out / "lags.png")
+        own.finish("lags.png")
+        own.save()
+    return own.out
 
 
 def ranking_line(ranking: Sequence[Ranked]) -> str:
@@ -77,7 +85,7 @@ def plot_lags(curves: Mapping[str, LagCurve], path: Path) -> None:
     axes.set_ylabel("Lipschitz index (scaled signals)")
     axes.grid(True, which="both", alpha=0.3)
     axes.legend()
-    figure.savefig(path, dpi=120)
+    write_with(path, partial(figure.savefig, format="png", dpi=120))
 
 
 def _learner(scenario: Scenario, row: str | None) -> EstimatorConfig:
@@ -96,7 +104,7 @@ def _learner(scenario: Scenario, row: str | None) -> EstimatorConfig:
     )
 
 
-def _write_tables(folder: Path, rankings: Mapping[str, Sequence[Ranked]], curves: Mapping[str, LagCurve]) -> None:
+def _write_tables(own: Folder, rankings: Mapping[str, Sequence[Ranked]], curves: Mapping[str, LagCurve]) -> None:
     import pandas as pd
 
     rows = [
@@ -111,10 +119,10 @@ def _write_tables(folder: Path, rankings: Mapping[str, Sequence[Ranked]], curves
         for target, ranking in rankings.items()
         for k, r in enumerate(ranking, 1)
     ]
-    pd.DataFrame(rows).to_csv(folder / "ranking.csv", index=False, float_format="%.6g")
+    own.write("ranking.csv", csv_text(pd.DataFrame(rows), float_format="%.6g").encode())
     lags = [
         {"target": target, "lags": int(lag), "index": index, "chosen": int(lag) == curve.order()}
         for target, curve in curves.items()
         for lag, index in zip(curve.lags, curve.index, strict=True)
     ]
-    pd.DataFrame(lags).to_csv(folder / "lags.csv", index=False, float_format="%.6g")
+    own.write("lags.csv", csv_text(pd.DataFrame(lags), float_format="%.6g").encode())

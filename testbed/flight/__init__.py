@@ -25,12 +25,14 @@ def fly_flight(config: FlightConfig | DriveConfig, seed: int = 0, use_cache: boo
     if isinstance(config, DriveConfig):
         return drive(config)
     from testbed.flight import cache
+    from testbed.flight.trial import try_aircraft
 
     aircraft, folder = load_aircraft(config.aircraft)
     seed = config.wind.seed if config.wind.seed is not None else seed
     path = cache.path_of(config, folder, seed)
     if use_cache and (trajectory := cache.load(path)) is not None:
         return trajectory
+    try_aircraft(config, folder)
     if not use_cache:
         return _fly(config, aircraft, folder, seed)
     # what the file gives back differs in the last bit of an angle: the first use must not differ from the later ones
@@ -43,11 +45,11 @@ def _fly(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> T
 
     from testbed.earth import G0
     from testbed.errors import FlightError
-    from testbed.flight.driver import AIR, fly_script
+    from testbed.flight.driver import AIR, FEWEST_SAMPLES, fly_script
     from testbed.flight.truth import make_trajectory
 
     flown = fly_script(config, aircraft, folder, seed)
-    if len(flown.state) < 4:
+    if len(flown.state) < FEWEST_SAMPLES:
         raise FlightError(f"a flight of {len(flown.state)} samples is too short")
     t = np.arange(len(flown.state)) / config.rate_hz
     extra = {name: np.interp(t, flown.air_t, flown.air[:, i]) for i, (name, _) in enumerate(AIR)}

@@ -6,31 +6,45 @@ in the file are in degrees where the key says so, else SI and radians.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from testbed.errors import InputError, nearest
+from testbed.errors import InputError, nearest, shown
+from testbed.flight.models import check_model, files_of
 from testbed.resources import aircraft_root
 from testbed.schema import Table, read_toml, validate
 
 Positive = Annotated[float, Field(gt=0)]
+_STEP = r"[A-Za-z_][A-Za-z0-9_.-]*(\[[0-9]{1,3}\])?"
+_PROPERTY = re.compile(f"{_STEP}(/{_STEP})*")
+
+
+def _property(name: str) -> str:
+    if len(name) > 200 or not _PROPERTY.fullmatch(name):
+        raise ValueError("not a name in JSBSim's property tree (like propulsion/engine[0]/n1)")
+    return name
+
+
+Property = Annotated[str, AfterValidator(_property)]
+"""A name in JSBSim's property tree; JSBSim aborts on a malformed one."""
 
 
 class Model(Table):
     """``[model]``: the JSBSim model and where it keeps what the bench reads and sets."""
 
-    jsbsim: str
+    jsbsim: str = Field(pattern=r"^[A-Za-z0-9_+-][A-Za-z0-9_.+-]*$")
     shipped: bool
     """True for a model of the jsbsim package, false for XML in this folder."""
-    engine_property: str
+    engine_property: Property
     """Engine speed, or what stands for it; times ``engine_scale`` it is in revolutions per minute."""
     engine_scale: Positive = 1.0
-    engines: int = Field(default=1, ge=1)
-    payload_property: str = ""
+    engines: int = Field(default=1, ge=1, le=100)
+    payload_property: Property | Literal[""] = ""
     """Weight in pounds that a payload adds to."""
-    setup: dict[str, float] = Field(default={})
+    setup: dict[Property, float] = Field(default={})
     """Properties set once after loading: gear up, flaps."""
     alpha_deg: float = 3.0
     """Incidence at which the settling before a flight starts."""
@@ -103,11 +117,13 @@ def load_aircraft(name: str) -> tuple[Aircraft, Path]:
     """
     if "/" in name:
         folder = Path(name)
-        if not (folder / "aircraft.toml").is_file():
-            raise InputError(f"{folder}: not an aircraft: it has no aircraft.toml")
+        files_of(folder)
     else:
         names = list_aircraft()
         if name not in names:
-            raise InputError(f"unknown aircraft '{name}'; {nearest(name, names)}; a folder of your own is './{name}'")
+            raise InputError(f"unknown aircraft {shown(name)}; {nearest(name, names)}; a folder of your own is ./NAME")
         folder = aircraft_root() / name
-    return validate(Aircraft, read_toml(folder / "aircraft.toml"), str(folder / "aircraft.toml")), folder
+    aircraft = validate(Aircraft, read_toml(folder / "aircraft.toml"), str(folder / "aircraft.toml"))
+    if not aircraft.model.shipped:
+        check_model(folder, aircraft.model.jsbsim)
+    return aircraft, folder

@@ -8,17 +8,22 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
+from testbed.columns import read_header
 from testbed.errors import InputError
+from testbed.files import StoreError
 from testbed.flight.config import FlightConfig
+from testbed.flight.models import files_of
 from testbed.records import Trajectory
 from testbed.resources import cache_root
+from testbed.screen import tell_user
 
 CODE_VERSION = 3
 """Raise it with every change of this package that changes a flight."""
+FORMAT = 2
+"""Of the files: since the second they carry the hashes of their content and of their flight."""
 
 
 def path_of(config: FlightConfig, folder: Path, seed: int) -> Path:
@@ -26,6 +31,7 @@ def path_of(config: FlightConfig, folder: Path, seed: int) -> Path:
     digest = hashlib.sha256()
     key = {
         "code": CODE_VERSION,
+        "format": FORMAT,
         "jsbsim": version("jsbsim"),
         "config": config.model_dump(mode="json") | {"aircraft": folder.name},
         "seed": seed if config.wind.turbulence != "none" else 0,
@@ -36,27 +42,28 @@ def path_of(config: FlightConfig, folder: Path, seed: int) -> Path:
 
 
 def content_of(folder: Path) -> bytes:
-    """Names and bytes of the files in an aircraft's folder, in one string."""
-    files = (file for file in sorted(folder.rglob("*")) if file.is_file())
-    return b"".join(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes() for file in files)
+    """Names and bytes of the files in an aircraft's folder, in one string. Raises InputError where it is none."""
+    names = ((os.fsencode(file.relative_to(folder).as_posix()), file) for file in files_of(folder))
+    return b"".join(name + b"\0" + file.read_bytes() for name, file in names)
 
 
 def load(path: Path) -> Trajectory | None:
-    """The cached flight, or None. A damaged file counts as none."""
-    try:
-        return Trajectory.load(path) if path.exists() else None
-    except InputError:
+    """The cached flight, or None. A damaged file, or one of another flight, counts as none, and the user is told."""
+    if not path.exists():
         return None
+    try:
+        trajectory, header = Trajectory.load(path), read_header(path)
+        if header.get("flight") != path.stem:
+            raise InputError(f"{path}: holds another flight")
+    except InputError as error:
+        tell_user(f"{error}; the flight is flown again")
+        return None
+    return trajectory
 
 
 def store(trajectory: Trajectory, path: Path) -> None:
-    """Write beside and rename, so that no reader ever sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(suffix=".tmp", dir=path.parent)
-    os.close(handle)
+    """Keep a flight. A cache that cannot be written costs time, not results: the user is told, and that is all."""
     try:
-        trajectory.save(name)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+        trajectory.save(path, flight=path.stem)
+    except StoreError as error:
+        tell_user(f"{error.args[0].partition(';')[0]}; the flight is not kept (TESTBED_CACHE names another folder)")

@@ -11,9 +11,10 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from testbed.schema import Table
+from testbed.schema import Name, Table
 
-Positive = Annotated[float, Field(gt=0)]
+Metres = Annotated[float, Field(ge=-2e7, le=2e7)]
+"""Half around the Earth to either side."""
 Duration = Annotated[float, Field(gt=0, le=200_000)]
 Speed = Annotated[float, Field(gt=0, le=1000)]
 Bank = Annotated[float, Field(ge=-85, le=85)]
@@ -47,7 +48,7 @@ class Manoeuvre(Table):
     ends: ClassVar[tuple[str, ...]] = ()
     """Names of the keys of which exactly one says when the manoeuvre ends."""
 
-    name: str = Field(default="", max_length=60)
+    name: Annotated[Name, Field(max_length=60)] = ""
     speed_mps: Speed | None = None
 
     @model_validator(mode="after")
@@ -205,8 +206,8 @@ class Doublet(Manoeuvre):
 class Waypoint(Table):
     """A point to overfly: north and east of the start in metres, or latitude and longitude."""
 
-    north_m: float | None = None
-    east_m: float | None = None
+    north_m: Metres | None = None
+    east_m: Metres | None = None
     lat_deg: float | None = Field(default=None, ge=-85, le=85)
     lon_deg: float | None = Field(default=None, ge=-180, le=180)
     alt_m: float | None = Field(default=None, ge=0, le=30_000)
@@ -226,7 +227,7 @@ class Waypoints(Manoeuvre):
 
     type: Literal["waypoints"]
     points: list[Waypoint] = Field(min_length=1)
-    radius_m: Positive = 100.0
+    radius_m: float = Field(default=100.0, gt=0, le=100_000)
 
 
 AnyManoeuvre = Annotated[

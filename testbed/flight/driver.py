@@ -26,9 +26,16 @@ from testbed.flight.autopilot import gain_array
 from testbed.flight.config import FlightConfig, Loiter, Straight
 from testbed.flight.simulator import FOOT, KELVIN_PER_RANKINE, STATE, Simulator
 from testbed.records import Phase
+from testbed.screen import tell_user
 
 STEP_RATE_MIN = 200.0
 """JSBSim steps at least this often: the aerosonde's roll mode has a time constant of 33 ms."""
+FEWEST_SAMPLES = 4
+"""The spline through the velocities needs as many knots (de Boor, chapter IV, not-a-knot ends)."""
+MOST_SAMPLES = 2e7
+"""A sample of the truth has 30 columns: with more, a flight needs above 5 GB of memory."""
+LONG_S = 20_000.0
+"""A longer flight takes above half a minute (about 1000 s of flight in 1 s), which is announced."""
 CONTROL_RATE = 50.0
 CONTROLS_PER_GUIDANCE = 5
 CONTROLS_PER_AIR_SAMPLE = 2
@@ -70,11 +77,16 @@ class Recording:
 def fly_script(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> Recording:
     """Fly the whole script. Raises FlightError that names manoeuvre and time."""
     check_script(config, aircraft)
-    substeps = math.ceil(STEP_RATE_MIN / config.rate_hz - 1e-9)
-    dt = 1.0 / (config.rate_hz * substeps)
+    dt, substeps = time_steps(config.rate_hz)
     pilot = _Pilot(config, aircraft, Simulator(config, aircraft, folder, dt, seed), dt, substeps)
     pilot.settle(config)
     return pilot.fly(config)
+
+
+def time_steps(rate_hz: float) -> tuple[float, int]:
+    """JSBSim's step (s), and the steps between two samples of the state."""
+    substeps = math.ceil(STEP_RATE_MIN / rate_hz - 1e-9)
+    return 1.0 / (rate_hz * substeps), substeps
 
 
 def script_duration(config: FlightConfig) -> float | None:
@@ -96,6 +108,18 @@ def steps_per_control(dt: float, substeps: int) -> int:
 def check_script(config: FlightConfig, aircraft: Aircraft) -> None:
     """Refuse what the aircraft cannot do before it takes off: speeds, banks, loads and climbs beyond its limits."""
     name, limits, speed = config.aircraft, aircraft.limits, config.initial.speed_mps
+    duration = script_duration(config)
+    expected = manoeuvres.expected_duration(config) if duration is None else duration
+    if expected * config.rate_hz > MOST_SAMPLES:
+        raise FlightError(
+            f"a flight of about {expected:.3g} s at {config.rate_hz:g} Hz has more than the {MOST_SAMPLES:.0e} samples that are kept"
+        )
+    if expected > LONG_S:
+        tell_user(f"the flight lasts about {expected:.0f} s; that takes its time")
+    if duration is not None and round(duration * config.rate_hz) + 1 < FEWEST_SAMPLES:
+        raise FlightError(
+            f"a flight of {duration:g} s at {config.rate_hz:g} Hz is too short: it needs {FEWEST_SAMPLES} samples"
+        )
     _check_speed("initial", name, aircraft, speed)
     for number, m in enumerate(config.manoeuvres, 1):
         place = f"manoeuvre {number} of {len(config.manoeuvres)} ({m.type})"
@@ -260,6 +284,8 @@ class _Pilot:
         """FlightError when the aircraft has left what it can fly."""
         m = self.measured.tolist()
         roll, alpha, airspeed = m[ap.ROLL], m[ap.ALPHA], m[ap.AIRSPEED]
+        if self.situation.t * script.config.rate_hz > MOST_SAMPLES:
+            script.fail(f"flies on, beyond the {MOST_SAMPLES:.0e} samples that are kept")
         if not math.isfinite(sum(m)):
             script.fail("diverged: the state of the simulation is not finite")
         if self.height_over_ground() < GROUND_M / FOOT:

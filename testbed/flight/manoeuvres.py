@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.earth import G0
+from testbed.earth import A as EARTH_RADIUS
 from testbed.errors import FlightError
 from testbed.flight import autopilot_kernels as ap
 from testbed.flight import config as cfg
@@ -58,6 +59,41 @@ class Situation:
     def turn_rate(self) -> float:
         """Rate of turn (rad/s) that the bank brings."""
         return G0 * math.tan(self.of(ap.ROLL)) / max(self.of(ap.AIRSPEED), 1.0)
+
+
+def expected_duration(config: cfg.FlightConfig) -> float:
+    """About how long the script takes (s), from durations, and from speed, bank and distance where it ends by those."""
+    total, speed = 0.0, config.initial.speed_mps
+    place = (0.0, 0.0)
+    for m in config.manoeuvres:
+        speed = m.speed_mps or speed
+        turn = speed / (G0 * math.tan(math.radians(abs(getattr(m, "bank_deg", 45.0)))))
+        if (duration := getattr(m, "duration_s", None)) is not None:
+            total += duration
+        elif isinstance(m, cfg.Turn):
+            total += turn * math.radians(m.heading_change_deg or 360.0)
+        elif isinstance(m, cfg.STurn):
+            total += turn * math.radians(m.heading_change_deg) * (m.legs or 0)
+        elif isinstance(m, cfg.FigureEight):
+            total += turn * 2.0 * math.pi * (m.circles or 0)
+        elif isinstance(m, cfg.Loiter):
+            total += 2.0 * math.pi * m.radius_m * (m.turns or 0.0) / speed
+        elif isinstance(m, cfg.Waypoints):
+            for point in m.points:
+                to = _about(point, config.initial)
+                total += math.dist(place, to) / speed
+                place = to
+        speed = getattr(m, "to_speed_mps", None) or speed
+    return total
+
+
+def _about(point: cfg.Waypoint, start: cfg.InitialFlightState) -> tuple[float, float]:
+    """A waypoint north and east of the start (m), on a sphere."""
+    if point.north_m is not None and point.east_m is not None:
+        return point.north_m, point.east_m
+    north = math.radians((point.lat_deg or 0.0) - start.lat_deg)
+    east = wrap(math.radians((point.lon_deg or 0.0) - start.lon_deg)) * math.cos(math.radians(start.lat_deg))
+    return north * EARTH_RADIUS, east * EARTH_RADIUS
 
 
 def wrap(angle: float) -> float:

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 from testbed.errors import InputError
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.config import FlightConfig
+from testbed.flight.models import ModelPaths, clean_copy
 
 FOOT = 0.3048
 KILOGRAM_PER_POUND = 0.45359237
@@ -38,6 +40,7 @@ class Simulator:
 
     def __init__(self, config: FlightConfig, aircraft: Aircraft, folder: Path, dt: float, seed: int) -> None:
         self.fdm = _load(aircraft, folder)
+        self._file = folder / "aircraft.toml"
         self.run: Callable[[], bool] = self.fdm.run
         self.dt = dt
         self._nodes = self.fdm.get_property_manager().get_node
@@ -45,6 +48,7 @@ class Simulator:
         self._wind = config.wind
         self._start(config, aircraft, seed)
         engine = aircraft.model.engine_property
+        self._node(engine, "'model.engine_property'")
         self.state = self._readers([name for name, _ in STATE])
         self.air = self._readers(
             ["fcs/left-aileron-pos-norm", "fcs/elevator-pos-norm", "fcs/rudder-pos-norm", engine]
@@ -68,8 +72,10 @@ class Simulator:
             f"fcs/throttle-cmd-norm[{i}]" for i in range(1, aircraft.model.engines)
         ]
         surfaces = ["fcs/aileron-cmd-norm", "fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm"]
-        self.surfaces = [self._nodes(name).set_double_value for name in surfaces]
-        self.throttles = [self._nodes(name).set_double_value for name in throttles]
+        self.surfaces = [self._node(name).set_double_value for name in surfaces]
+        self.throttles = [
+            self._node(name, f"'model.engines' = {aircraft.model.engines}").set_double_value for name in throttles
+        ]
 
     def set_wind(self, share: float) -> None:
         """Let a share (0 to 1) of the steady wind blow."""
@@ -85,7 +91,14 @@ class Simulator:
             self.fdm["atmosphere/turb-type"] = TURBULENCE_MILSPEC
 
     def _readers(self, names: list[str]) -> list[Callable[[], float]]:
-        return [self._nodes(name).get_double_value for name in names]
+        return [self._node(name).get_double_value for name in names]
+
+    def _node(self, name: str, key: str = "") -> Any:
+        """A node of JSBSim's property tree. Raises InputError, with the ``key`` that asks for it, where there is none."""
+        if (node := self._nodes(name)) is None:
+            place = f"{self._file}: {key}" if key else f"{self._file}"
+            raise InputError(f"{place}: the model has no property '{name}'")
+        return node
 
     def _start(self, config: FlightConfig, aircraft: Aircraft, seed: int) -> None:
         fdm, initial = self.fdm, config.initial
@@ -101,11 +114,15 @@ class Simulator:
         if config.payload_kg:
             if not aircraft.model.payload_property:
                 raise InputError(f"aircraft '{config.aircraft}' takes no payload; remove payload_kg")
+            self._node(aircraft.model.payload_property, "'model.payload_property'")
             fdm[aircraft.model.payload_property] += config.payload_kg / KILOGRAM_PER_POUND
         if not aircraft.model.external_thrust:
             fdm["propulsion/set-running"] = -1
             fdm["propulsion/fuel_freeze"] = 1
         for name, value in aircraft.model.setup.items():
+            if name.startswith("simulation/"):
+                raise InputError(f"{self._file}: 'model.setup': '{name}' steers JSBSim itself; remove it")
+            self._node(name, "'model.setup'")
             fdm[name] = value
 
 
@@ -124,12 +141,10 @@ def _load(aircraft: Aircraft, folder: Path) -> Any:
             os.environ["JSBSIM_DEBUG"] = before
     fdm.set_debug_level(0)
     model = aircraft.model
-    if model.shipped:
-        loaded = fdm.load_model(model.jsbsim)
-    else:
-        root = str(folder)
-        loaded = fdm.load_model_with_paths(model.jsbsim, root, root, root, False)
+    with clean_copy(model.jsbsim) if model.shipped else nullcontext(ModelPaths(folder, folder, folder)) as paths:
+        model_path, engines, systems = (str(path) for path in paths)
+        loaded = fdm.load_model_with_paths(model.jsbsim, model_path, engines, systems, False)
     if not loaded:
-        raise InputError(f"{folder / 'aircraft.toml'}: JSBSim has no model '{model.jsbsim}'")
+        raise InputError(f"{folder / 'aircraft.toml'}: JSBSim cannot load the model '{model.jsbsim}'")
     fdm.disable_output()
     return fdm

@@ -69,7 +69,7 @@ def load_recording(config: RecordingConfig, folder: str | Path = ".") -> Any:
     root = Path(folder) / config.dir
     watched = [root / f for f in config.files.values()] or (sorted(root.glob("*")) if root.is_dir() else [])
     state = tuple((str(p), p.stat().st_mtime_ns, p.stat().st_size) for p in watched if p.is_file())
-    return _load(config.model_dump_json(), str(folder), state)
+    return _load(config.model_dump_json(exclude_unset=True), str(folder), state)
 
 
 @functools.lru_cache(maxsize=2)

@@ -43,7 +43,9 @@ def _load_navego(config: RecordingConfig, root: Path, folder: Path) -> Recording
     recording = navego.load(root, config.files, config.sampling, config.initial.start)
     log = recording.log
     changed = {kind: _respecify(config, folder, kind, getattr(log, kind)) for kind in ("imu", "gnss", "mag", "baro")}
-    return _cut(config, Recording(replace(log, **changed), recording.reference), str(root))
+    given = config.initial.model_fields_set
+    idle = without_effect(config, () if "start" in given and navego.states_initial(root, config.files) else ("start",))
+    return _cut(config, Recording(replace(log, **changed), recording.reference, idle), str(root))
 
 
 def _load_table(config: RecordingConfig, root: Path, folder: Path) -> Recording:
@@ -53,6 +55,13 @@ def _load_table(config: RecordingConfig, root: Path, folder: Path) -> Recording:
     tables = table.Tables(root, config.files, columns | config.columns)
     raw = Raw.from_tables(tables, config.sampling)
     return _finish(config, folder, raw, str(root))
+
+
+def without_effect(config: RecordingConfig, heeded: tuple[str, ...]) -> tuple[str, ...]:
+    """A note on the keys of ``[recording.initial]`` that were given but not ``heeded``: the files state the initial state."""
+    idle = sorted(set(config.initial.model_fields_set) - set(heeded))
+    keys = ", ".join(f"recording.initial.{key}" for key in idle)
+    return (f"{keys} has no effect: the files of the recording state the initial state",) if idle else ()
 
 
 class Raw:
@@ -93,7 +102,7 @@ class Raw:
         if raw.initial is not None:
             raw.t_start = raw.initial.t
         raw.imu = ImuSamples(t, gyro, accel, rate)
-        raw._add_aiding(tables, spec, tuple((float(a), float(b)) for a, b in stored.get("outages", [])))
+        raw._add_aiding(tables, spec, _stored_outages(stored, tables.folder))
         return raw
 
     def _add_aiding(self, tables: Any, spec: dict[str, Any], outages: tuple[tuple[float, float], ...]) -> None:
@@ -124,6 +133,8 @@ class Raw:
             unknown = SENSORS[kind].spec(name="unknown")
             self.others[kind] = SENSORS[kind].from_stems(parts[kind], spec[kind] or unknown)
         if (r := parts.get("reference")) is not None:
+            if len(r["time"]) < 3:
+                raise InputError(f"{tables.folder}: reference has {len(r['time'])} rows, at least 3 are needed")
             v_n = tables.block("reference", ["v_north", "v_east", "v_down"])
             self.motion = (r["time"], r["lat"], r["lon"], r["alt"], v_n, tables.quaternions())
 
@@ -143,12 +154,13 @@ def _finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Reco
         gnss, initial = _after(gnss, t_start), None
     grid = np.concatenate([[t_start], imu.t])
     reference = reference_on_grid(grid, raw.motion, place) if raw.motion is not None else None
+    idle = () if initial is None else without_effect(config, ())
     if initial is None:
         aligned = align(config.initial, imu, gnss, samples["mag"], reference, t_start, place)
         imu, gnss, initial = aligned.imu, aligned.gnss, aligned.initial
     aiding = {kind: _after(values, initial.t) for kind, values in {**samples, **raw.others}.items() if kind != "imu"}
     log = SensorLog(imu, initial, name=raw.name, aiding=aiding | {"gnss": gnss})
-    return _cut(config, Recording(log, reference), place)
+    return _cut(config, Recording(log, reference, idle), place)
 
 
 def _respecify(config: RecordingConfig, folder: Path, kind: str, samples: Any) -> Any:
@@ -202,7 +214,7 @@ def _cut(config: RecordingConfig, recording: Recording, place: str) -> Recording
             raise InputError(f"{place}: the reference does not overlap the part that is used")
         if not keep.all():
             reference = _cut_trajectory(reference, keep)
-    return Recording(log, reference)
+    return Recording(log, reference, recording.notes)
 
 
 def _cut_trajectory(trajectory: Trajectory, keep: NDArray[np.bool_]) -> Trajectory:
@@ -213,7 +225,7 @@ def _cut_trajectory(trajectory: Trajectory, keep: NDArray[np.bool_]) -> Trajecto
 def _stored_spec(stored: dict[str, Any], kind: str, folder: Path) -> Any:
     try:
         return specs.from_dict(KINDS[kind], stored[kind]) if kind in stored else None
-    except (TypeError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder / 'log.json'}: {kind}: {error}") from None
 
 
@@ -224,6 +236,18 @@ def _stored_initial(stored: dict[str, Any], folder: Path) -> InitialState | None
         values: dict[str, Any] = {
             k: np.array(v) if isinstance(v, list) else float(v) for k, v in stored["initial"].items()
         }
+        if np.ndim(values.get("t", 0.0)):
+            raise ValueError("t must be a number of seconds")
         return InitialState(**values)
     except (TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder / 'log.json'}: initial: {error}") from None
+
+
+def _stored_outages(stored: dict[str, Any], folder: Path) -> tuple[tuple[float, float], ...]:
+    try:
+        pairs = tuple((float(a), float(b)) for a, b in stored.get("outages", []))
+    except (TypeError, ValueError):
+        pairs = ((np.inf, -np.inf),)
+    if not all(np.isfinite(pair).all() and pair[0] <= pair[1] for pair in pairs):
+        raise InputError(f"{folder / 'log.json'}: outages: should be pairs [from, to] in seconds")
+    return pairs

@@ -25,7 +25,7 @@ def implied_imu(t: Array, lat: Array, h: Array, v_n: Array, q_nb: Array) -> tupl
     w_ie = np.column_stack(earth.earth_rate_n(middle_lat))
     w_en = np.column_stack(earth.transport_rate_n(middle_lat, middle_h, middle_v[:, 0], middle_v[:, 1]))
     frame_turn = (w_ie + w_en) * dt
-    q_from_old_n = multiply(conjugate(from_rotvec(frame_turn)), q_nb[1:])
+    q_from_old_n = multiply(from_rotvec(frame_turn), q_nb[1:])
     angle = to_rotvec(multiply(conjugate(q_nb[:-1]), q_from_old_n))
     gravity = np.zeros_like(middle_v)
     gravity[:, 2] = earth.gravity(middle_lat, middle_h)

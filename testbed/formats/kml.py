@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed import earth
-from testbed.errors import InputError
+from testbed.errors import MissingExtra
 from testbed.formats.recording import interpolate_motion
 from testbed.records import Array, NavSolution, Trajectory
 
@@ -32,7 +32,7 @@ def save_track(
     try:
         import simplekml
     except ImportError:
-        raise InputError("KML needs the package simplekml: pip install 'navigation-testbed[formats]'") from None
+        raise MissingExtra("KML needs the package simplekml: pip install 'navigation-testbed[formats]'") from None
     kml = simplekml.Kml(name=trajectory.name or "flight")
     rows = _thin(len(trajectory.t))
     truth = _coordinates(trajectory, rows)

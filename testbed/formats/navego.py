@@ -58,6 +58,11 @@ def load(
     return Recording(SensorLog(imu, initial, gnss, mag, baro, Path(folder).name), reference)
 
 
+def states_initial(folder: str | Path, files: Mapping[str, str] | None = None) -> bool:
+    """Whether the files hold the whole initial state, as those that the bench wrote do."""
+    return _stored_initial(Struct(_find(Path(folder), files or {})["imu"], "imu")) is not None
+
+
 class Struct:
     """One struct of a .mat file: numeric fields with checks that name file, variable and sample."""
 

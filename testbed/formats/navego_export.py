@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from testbed import earth, specs
+from testbed.errors import InputError
 from testbed.records import Array, GnssFixes, ImuSamples, InitialState, SensorLog, Trajectory
 from testbed.rotations import quat_to_euler, quats_to_eulers, quats_to_matrices
 from testbed.specs import TriadSpec
@@ -44,6 +45,10 @@ def save_log(log: SensorLog, folder: str | Path, reference: Trajectory | None = 
     The first row of ``imu`` is at the initial time and repeats the first sample, as in NaveGo, whose mechanization
     starts from the second.
     """
+    if lost := sorted(set(log.aiding) - {"gnss", "mag", "baro"}):
+        raise InputError(
+            f"format 'navego' has no place for {', '.join(lost)}; 'csv' and 'parquet' have, or leave the sensor out"
+        )
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     _save(folder / "imu.mat", "imu", _imu(log.imu, log.initial))

@@ -27,6 +27,8 @@ class Recording:
 
     log: SensorLog
     reference: Trajectory | None = None
+    notes: tuple[str, ...] = ()
+    """What the scenario says of it without effect."""
 
 
 def check_time(t: Array, place: str) -> Array:
@@ -40,7 +42,7 @@ def check_time(t: Array, place: str) -> Array:
 
 def check_finite(values: Array, place: str) -> Array:
     """Raises InputError that names ``place`` and the first sample that is NaN or infinite."""
-    finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    finite = np.isfinite(values).reshape(len(values), int(np.prod(values.shape[1:]))).all(axis=1)
     if not finite.all():
         count = int((~finite).sum())
         raise InputError(
@@ -77,6 +79,8 @@ def reference_on_grid(grid: Array, motion: tuple[Array, ...], name: str) -> Traj
     velocity, velocities linear, attitudes along the shortest arc. ``f_b`` and ``w_ib_b`` are the implied IMU means.
     """
     t, lat, lon, h, v_n, q_nb = motion
+    if len(t) < 2:
+        raise InputError(f"{name}: the reference has {len(t)} samples, at least 2 are needed")
     inside = grid[(grid >= t[0] - 1e-9) & (grid <= t[-1] + 1e-9)]
     if len(inside) < 2:
         raise InputError(

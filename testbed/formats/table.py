@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed import specs
-from testbed.errors import InputError, nearest
+from testbed.errors import InputError, nearest, shown
 from testbed.formats import column_units
 from testbed.formats.recording import check_finite, check_place, check_time, existing
 from testbed.records import Array, SensorLog, Trajectory
@@ -241,9 +241,15 @@ def _read_frame(path: Path) -> pd.DataFrame:
 
     try:
         table = pa.parquet.read_table(path) if path.suffix == ".parquet" else pa.csv.read_csv(path)
-        return table.rename_columns([name.strip() for name in table.column_names]).to_pandas()
+        names = [name.strip() for name in table.column_names]
+        frame = table.rename_columns(names).to_pandas()
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable table ({str(error).splitlines()[0]})") from None
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError(f"{path}: column '{twice[0]}' is there {names.count(twice[0])} times; keep one")
+    if not len(frame):
+        raise InputError(f"{path}: has no rows below its header; leave the file out if the sensor recorded nothing")
+    return frame
 
 
 def _numbers(column: pd.Series, place: str) -> Array:
@@ -254,7 +260,7 @@ def _numbers(column: pd.Series, place: str) -> Array:
         bad = numbers.isna() & column.notna()
         if bad.any():
             k = int(np.argmax(bad.to_numpy()))
-            raise InputError(f"{place}: sample {k} is '{column.iloc[k]}', expected a number")
+            raise InputError(f"{place}: sample {k} is {shown(column.iloc[k])}, expected a number")
         column = numbers
     return column.to_numpy()
 

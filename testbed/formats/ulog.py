@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from testbed.errors import InputError
+from testbed.errors import InputError, MissingExtra
 from testbed.formats.importers import Raw
 from testbed.formats.recording import check_finite, check_place, check_time, existing
 from testbed.records import Array, BaroSamples, GnssFixes, ImuSamples, MagSamples
@@ -103,7 +103,7 @@ def _open(path: Path, allow_truncated: bool) -> Any:
     try:
         from pyulog import ULog
     except ImportError:
-        raise InputError("PX4 logs need the package pyulog: pip install 'navigation-testbed[formats]'") from None
+        raise MissingExtra("PX4 logs need the package pyulog: pip install 'navigation-testbed[formats]'") from None
     complete = _ends_on_message(path)
     try:
         log = ULog(str(path), TOPICS, True)

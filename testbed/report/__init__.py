@@ -22,39 +22,53 @@ def preload() -> None:
 def render(result_dir: str | Path, svg: bool = True) -> None:
     """Write ``report.html``, ``report.md``, ``report.json``, ``tables.tex`` and ``figures/*.png`` (and ``*.svg``) into a result folder.
 
-    Raises InputError when the folder holds no result.
+    Raises InputError when the folder holds no finished result, or a file of these names that the bench did not write.
     """
     import os
     from functools import partial
 
+    from testbed.files import as_json
+    from testbed.folders import Folder
     from testbed.forking import share
     from testbed.report import figures, html, index, text
     from testbed.report.results import load_result
-    from testbed.store import write_json
+    from testbed.store import KIND
 
     preload()  # once, before the work is shared
-    result = load_result(result_dir)
-    pictures = result.folder / "figures"
-    pictures.mkdir(parents=True, exist_ok=True)
-    drawn = {f"{name}.png": drawing for name, drawing in figures.drawings(result).items()}
+    load_result(result_dir)  # what cannot be read is refused before the folder is touched
+    with Folder.open(result_dir, KIND) as folder:
+        result = load_result(result_dir)
+        drawn = {f"{name}.png": drawing for name, drawing in figures.drawings(result).items()}
+        pictures = [f"figures/{name}" for name in drawn]
+        if svg:
+            pictures += [str(Path(name).with_suffix(".svg").as_posix()) for name in pictures]
+        names = [*("report.md", "tables.tex", index.ENTRY, "report.html"), *pictures]
+        folder.forget([name for name in folder.files if name.startswith("figures/") and name not in names])
+        folder.claim(names)
 
-    def write_texts() -> None:
-        captions = {name: drawing.caption for name, drawing in drawn.items()}
-        (result.folder / "report.md").write_text(text.markdown(result, captions), encoding="utf-8")
-        (result.folder / "tables.tex").write_text(text.latex(result), encoding="utf-8")
-        write_json(result.folder / index.ENTRY, index.entry_of(result))
-        (result.folder / "report.html").write_text(html.page(result), encoding="utf-8")
+        def write_texts() -> None:
+            captions = {name: drawing.caption for name, drawing in drawn.items()}
+            folder.write("report.md", text.markdown(result, captions).encode())
+            folder.write("tables.tex", text.latex(result).encode())
+            folder.write(index.ENTRY, as_json(index.entry_of(result)))
+            folder.write("report.html", html.page(result).encode())
 
-    figure_tasks = [partial(figures.save, drawing, pictures / name, svg) for name, drawing in drawn.items()]
-    share([write_texts, *figure_tasks], os.cpu_count() or 1)
+        figure_tasks = [
+            partial(figures.save, drawing, folder.out / "figures" / name, svg) for name, drawing in drawn.items()
+        ]
+        share([write_texts, *figure_tasks], os.cpu_count() or 1)
+        for name in names:
+            folder.finish(name)
+        folder.save()
 
 
-def render_index(dirs: Iterable[str | Path], out: str | Path) -> Path:
+def render_index(dirs: Iterable[str | Path], out: str | Path, replace_others: bool = False) -> Path:
     """Write a page with one row per result folder (verdict counts, links) and return its path.
 
     ``out`` is the page itself or the folder in which ``index.html`` goes; ``index.md`` is written beside it.
-    Raises InputError when a folder holds no result.
+    Raises InputError when a folder holds no result, or where these files are there and not the bench's own (unless
+    ``replace_others``).
     """
     from testbed.report import index
 
-    return index.write_index([Path(d) for d in dirs], Path(out))
+    return index.write_index([Path(d) for d in dirs], Path(out), replace_others)

@@ -146,10 +146,8 @@ def envelopes(
                 traces.append(
                     trace_line(t, group[column], f"{label}, {name}", meta, axis, line={"width": 1.3, "dash": dash})
                 )
-    ranges = _ranges(
-        {str(e): f.pivot(index="time_s", columns="quantity", values="rms") for e, f in table.groupby("estimator")},
-        quantities,
-    )
+    wide = {str(e): f.pivot(index="time_s", columns="quantity", values="rms") for e, f in table.groupby("estimator")}
+    ranges = _ranges({e: frame.reindex(columns=list(quantities)) for e, frame in wide.items()}, quantities)
     return {"data": traces, "layout": stacked_panels(quantities, outages, phases, ranges)}
 
 

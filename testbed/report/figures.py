@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from testbed.files import write_with
 from testbed.report import geometry, innovations
 from testbed.report.headline import headline
-from testbed.report.labels import COLOURS, component_label
+from testbed.report.labels import COLOURS, component_label, short_name
 from testbed.report.results import Result, thin
 from testbed.scoring.quantities import GROUPS, MAIN, axis_title, quantity_label, unit
 
@@ -43,6 +44,7 @@ STYLE: Any = {
     "legend.fontsize": 7,
     "lines.linewidth": 1.0,
     "svg.hashsalt": "testbed",
+    "text.parse_math": False,
     "svg.fonttype": "none",
     "path.simplify_threshold": 0.5,
 }
@@ -111,6 +113,8 @@ def error_traces(
     axes = _panels(figure, len(quantities))
     for k, (label, frame) in enumerate(errors.items()):
         for ax, quantity in zip(axes, quantities, strict=True):
+            if frame[quantity].isna().all():  # an attitude filter says nothing of position
+                continue
             t = frame["time_s"].to_numpy()
             if label == band and f"sigma_{quantity}" in frame:
                 s = 3.0 * frame[f"sigma_{quantity}"].to_numpy()
@@ -158,7 +162,8 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
     """Box plots over the runs: median, quartiles, whiskers at 5 and 95 %, the runs outside of them."""
     figure = _figure(0.9 + 0.26 * len(estimators))
     axes = np.atleast_1d(figure.subplots(1, len(metrics), sharey=True))
-    bottom, left = 0.42 / figure.get_figheight(), 0.03 + 0.0105 * max(map(len, estimators), default=0)
+    names = [short_name(name, 40) for name in estimators]  # 40 characters take 45 % of the width
+    bottom, left = 0.42 / figure.get_figheight(), 0.03 + 0.0105 * max(map(len, names), default=0)
     figure.subplots_adjust(left=max(0.14, left), right=0.99, bottom=bottom, top=0.97, wspace=0.12)
     for ax, metric in zip(axes, metrics, strict=True):
         rows = per_run[per_run["metric"] == metric]
@@ -173,7 +178,7 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
             ax.xaxis.set_major_formatter(PLAIN)
             ax.minorticks_off()
         ax.set_xlabel(axis_title(metric))
-    axes[0].set_yticks(range(1, len(estimators) + 1), estimators)
+    axes[0].set_yticks(range(1, len(estimators) + 1), names)
     axes[0].invert_yaxis()
     return figure
 
@@ -181,12 +186,12 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
 def envelopes(table: pd.DataFrame, quantities: Sequence[str], outages: Spans = (), phases: Phases = ()) -> Figure:
     """RMS error over the runs (line) and the filter's own mean sigma (dotted): they meet when a filter is consistent."""
     figure = _figure(1.15 * len(quantities) + 0.8)
-    axes = _panels(figure, len(quantities))
+    axes, shown = _panels(figure, len(quantities)), list(dict.fromkeys(table["estimator"]))
     for ax, quantity in zip(axes, quantities, strict=True):
         rows = table[table["quantity"] == quantity]
         found = []
-        for k, (label, group) in enumerate(rows.groupby("estimator", sort=False)):
-            t, colour = group["time_s"].to_numpy(), COLOURS[k % len(COLOURS)][0]
+        for label, group in rows.groupby("estimator", sort=False):
+            t, colour = group["time_s"].to_numpy(), COLOURS[shown.index(label) % len(COLOURS)][0]
             found.append(group["rms"].to_numpy(dtype=float))
             ax.plot(t, group["rms"], color=colour, label=label)
             ax.plot(t, group["sigma"], color=colour, ls=":", lw=0.8)
@@ -273,10 +278,9 @@ def drawings(result: Result) -> dict[str, Drawing]:
         add("ground_track", "Ground track of run 0; broad grey: no GNSS.", ground_track, truth, estimates, spans)
         add("path_3d", "Path of run 0 in space.", path_3d, truth, estimates)
     for group, quantities in GROUPS.items():
-        have = {e: f for e, f in estimates.items() if f[quantities].notna().any(axis=None)}
-        if have:
+        if any(f[quantities].notna().any(axis=None) for f in estimates.values()):
             caption = f"{group} error of run 0 with ±3σ of {lead.winner}; shaded: no GNSS."
-            add(f"error_{group.lower()}", caption, error_traces, have, quantities, spans, phases, lead.winner)
+            add(f"error_{group.lower()}", caption, error_traces, estimates, quantities, spans, phases, lead.winner)
     if result.estimators:
         add("rmse", "Mean RMSE over the runs with 95 % intervals.", rmse_bars, result.summary, lines, lead.window)
     metrics = [f"rmse_{quantity}" for quantity in MAIN]
@@ -319,9 +323,10 @@ def save(drawing: Drawing, path: Path, svg: bool = True) -> None:
 
     with matplotlib.rc_context(STYLE):
         figure = drawing.draw()
-        figure.savefig(path, dpi=DPI, metadata={"Software": None})
+        write_with(path, partial(figure.savefig, format="png", dpi=DPI, metadata={"Software": None}))
         if svg:
-            figure.savefig(path.with_suffix(".svg"), metadata={"Date": None, "Creator": None})
+            plain = {"Date": None, "Creator": None}
+            write_with(path.with_suffix(".svg"), partial(figure.savefig, format="svg", metadata=plain))
 
 
 def _figure(height: float) -> Figure:
@@ -378,11 +383,12 @@ def _legend(figure: Figure, ax: Axes) -> None:
     names = [name for name in dict.fromkeys(labels) if name]
     if not names:
         return
-    columns = min(len(names), max(1, int((WIDTH - 0.2) / (0.5 + 0.058 * max(map(len, names))))))
+    words = [short_name(name, 100) for name in names]  # as many fit into the width
+    columns = min(len(names), max(1, int((WIDTH - 0.2) / (0.5 + 0.058 * max(map(len, words))))))
     _grow(figure, 0.15 * (-(-len(names) // columns) - 1))
     figure.legend(
         [unique[n] for n in names],
-        names,
+        words,
         loc="upper right",
         bbox_to_anchor=(0.99, 1.0),
         ncols=columns,

@@ -1,6 +1,6 @@
 """The sentence at the top of a report: which method won, by how much, and how sure that is.
 
-Paired over the seeds: every estimator saw the same recordings. Interval and p-value: `testbed.statistics.improvement`.
+Paired over the seeds: every estimator saw the same recordings. Interval and p-value: `testbed.scoring.effects`.
 Percent; the metric's own unit.
 """
 
@@ -10,15 +10,15 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
+import numpy as np
 import pandas as pd
 
 from testbed.report.labels import number, percent, window_label
 from testbed.report.results import Result
+from testbed.scoring.effects import Effect, effect, runaways
 from testbed.scoring.quantities import RANKED, metric_label, unit
-from testbed.statistics import Improvement, improvement
 
-FEWEST_FOR_A_TEST = 6
-NONE = Improvement(math.nan, math.nan, math.nan, math.nan, 0)
+NONE = Effect(math.nan, math.nan, math.nan, math.nan, 0)
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Headline:
     window: str
     winner: str
     sentences: list[str]
-    gain: Improvement = NONE
+    gain: Effect = NONE
 
 
 @lru_cache(maxsize=4)
@@ -49,13 +49,14 @@ def headline(result: Result) -> Headline:
     runs = result.per_run([metric], window).pivot_table(index="run", columns="estimator", values="value")
     gains = {rival: _improvement(result, runs, winner, rival) for rival in order[1:]}
     sentences = _ranking(winner, f"the lowest {measure}: {value}", gains)
+    sentences += _runaways(runs, {row for row in (winner, order[1], result.estimators[0]) if row in order})
     baseline = result.estimators[0]
     if baseline in gains and not any(baseline in sentence for sentence in sentences):
         sentences.append(f"Against {baseline}, the first listed, it is {_difference(gains[baseline])}.")
     return Headline(metric, window, winner, [*sentences, *_losses(result)], gains[order[1]])
 
 
-def _ranking(winner: str, what: str, gains: dict[str, Improvement]) -> list[str]:
+def _ranking(winner: str, what: str, gains: dict[str, Effect]) -> list[str]:
     """How firmly the winner leads. ``gains`` are its leads, from the next best to the last."""
     first = f"{winner} has {what}"
     rival, lead = next(iter(gains.items()))
@@ -76,6 +77,20 @@ def _ranking(winner: str, what: str, gains: dict[str, Improvement]) -> list[str]
         gain = gains[clear[0]]
         sentences.append(f"{winner} is {percent(gain.percent)} % below {clear[0]}, the next ({_sureness(gain)}).")
     return sentences
+
+
+def _runaways(runs: pd.DataFrame, labels: set[str]) -> list[str]:
+    """The runs that lie far above all others of their method, and so carry its mean."""
+    found = []
+    for label in runs.columns.intersection(sorted(labels)):
+        values = runs[label].to_numpy(dtype=float)
+        far = runs.index[runaways(values)]
+        if len(far):
+            worst = float(np.nanmax(values) / np.nanmedian(values))
+            found.append(
+                f"run{'s' * (len(far) > 1)} {_listed([str(run) for run in far])} of {label} (up to {worst:.3g} times its median)"
+            )
+    return [f"Runaways that carry a mean: {'; '.join(found)}."] if found else []
 
 
 def _losses(result: Result) -> list[str]:
@@ -108,30 +123,28 @@ def main_measure(result: Result) -> tuple[str, str]:
     return RANKED[0], "all"
 
 
-def _improvement(result: Result, runs: pd.DataFrame, better: str, than: str) -> Improvement:
+def _improvement(result: Result, runs: pd.DataFrame, better: str, than: str) -> Effect:
     if not {better, than} <= set(runs.columns):
         return NONE
     seed = int(result.scenario.get("monte_carlo", {}).get("seed", 0))
-    return improvement(runs[better].to_numpy(dtype=float), runs[than].to_numpy(dtype=float), seed) or NONE
+    return effect(runs[better].to_numpy(dtype=float), runs[than].to_numpy(dtype=float), seed) or NONE
 
 
 def _listed(names: list[str]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
-def _difference(gain: Improvement) -> str:
+def _difference(gain: Effect) -> str:
     if not math.isfinite(gain.percent):
         return "not comparable (no paired runs)"
     return f"{percent(abs(gain.percent))} % {'lower' if gain.percent >= 0 else 'higher'} ({_sureness(gain)})"
 
 
-def _sureness(gain: Improvement) -> str:
-    """Interval, runs and p-value; below six pairs a signed-rank test cannot reach 5 %, so its p-value says nothing."""
+def _sureness(gain: Effect) -> str:
+    """Interval, runs and p-value."""
     runs = f"{gain.n} paired run{'s' if gain.n != 1 else ''}"
     low, high = percent(gain.low), percent(gain.high)
     if not math.isfinite(gain.low):
         return f"{runs}, too few for an interval"
     interval = f"95 % interval {low} to {high} %, " if low != high else ""
-    if not math.isfinite(gain.p_value) or gain.n < FEWEST_FOR_A_TEST:
-        return f"{interval}{runs}"
     return f"{interval}{runs}, p {'< 0.001' if gain.p_value < 0.001 else f'= {number(gain.p_value, 2)}'}"

@@ -5,7 +5,6 @@ Source: the result folders themselves. Links are relative to the index.
 
 from __future__ import annotations
 
-import json
 import os
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -13,6 +12,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from testbed.checksums import read_json
+from testbed.errors import InputError
+from testbed.folders import MANIFEST, Folder, check_own
 from testbed.report import html
 from testbed.report.headline import headline
 from testbed.report.labels import verdict_kind
@@ -34,18 +36,31 @@ class Entry:
     sentence: str
     runs: int
     verdicts: dict[str, int]
+    own: dict[str, int]
+    """Verdicts on our own claims, which are counted apart."""
     variants: tuple[Entry, ...] = ()
 
     @property
     def counts(self) -> str:
         """The verdicts in words."""
-        return ", ".join(f"{self.verdicts[kind]} {word}" for kind, word in KINDS.items() if self.verdicts[kind])
+        return "; ".join(
+            filter(None, (_in_words(self.verdicts), f"own claims: {own}" if (own := _in_words(self.own)) else ""))
+        )
+
+    @property
+    def own_counts(self) -> str:
+        """The verdicts on our own claims in words."""
+        return _in_words(self.own)
 
 
-def write_index(dirs: list[Path], out: Path) -> Path:
-    """Write the page and its Markdown twin; return the page's path."""
+def _in_words(counts: dict[str, int]) -> str:
+    return ", ".join(f"{counts[kind]} {word}" for kind, word in KINDS.items() if counts[kind])
+
+
+def write_index(dirs: list[Path], out: Path, replace_others: bool = False) -> Path:
+    """Write the page and its Markdown twin; return the page's path. ``replace_others``: also what the bench did not write."""
     page = out if out.suffix == ".html" else out / "index.html"
-    page.parent.mkdir(parents=True, exist_ok=True)
+    check_own(page.parent, KIND, among=True)
     reports = [_entry(folder, page.parent) for folder in dirs]
     totals = {kind: sum(report.verdicts[kind] for report in reports) for kind in KINDS}
     entries = _rows(reports)
@@ -53,8 +68,10 @@ def write_index(dirs: list[Path], out: Path) -> Path:
     text = html.template("index.html.j2").render(
         style=html.asset("report.css"), script=html.asset("index.js"), **values
     )
-    page.write_text(text, encoding="utf-8")
-    page.with_suffix(".md").write_text(_markdown(entries), encoding="utf-8")
+    with Folder.open(page.parent, KIND, among=True) as folder:
+        if replace_others:
+            folder.files.update(dict.fromkeys((page.name, page.with_suffix(".md").name)))
+        folder.write_all({page.name: text.encode(), page.with_suffix(".md").name: _markdown(entries).encode()})
     return page
 
 
@@ -70,12 +87,14 @@ def _rows(reports: list[Entry]) -> list[Entry]:
     return rows
 
 
+KIND = "testbed index"
 ENTRY = "report.json"
 """Of a folder with a report: what the index shows of it, for a page that travels without its runs."""
 
 
 def entry_of(result: Result) -> dict[str, Any]:
     """The content of `ENTRY`."""
+    own = result.claims["origin"] == "own"
     return {
         "scenario": result.manifest.get("scenario"),
         "variant": result.manifest.get("variant"),
@@ -83,18 +102,25 @@ def entry_of(result: Result) -> dict[str, Any]:
         "source": result.source,
         "sentence": headline(result).sentences[0] + (f" Changed: {result.changed}." if result.changed else ""),
         "runs": result.run_count,
-        "verdicts": [str(verdict) for verdict in result.claims["verdict"]],
+        "verdicts": [str(verdict) for verdict in result.claims.loc[~own, "verdict"]],
+        "own_verdicts": [str(verdict) for verdict in result.claims.loc[own, "verdict"]],
     }
 
 
 def _entry(folder: Path, start: Path) -> Entry:
     """The entry of a folder with a report. Raises InputError where there is neither a report nor a result."""
     if (folder / ENTRY).is_file() and not (folder / "metrics.parquet").is_file():
-        told = json.loads((folder / ENTRY).read_text(encoding="utf-8"))
+        if (folder / MANIFEST).is_file():
+            Folder(folder, read_json(folder / MANIFEST)).check(ENTRY)
+        told = read_json(folder / ENTRY)
+        needed = {"title": str, "source": str, "sentence": str, "runs": int, "verdicts": list}
+        for key, kind in needed.items():
+            if not isinstance(told.get(key), kind):
+                raise InputError(f"{folder / ENTRY}: damaged ('{key}' is not what a report leaves there)")
     else:
         told = entry_of(load_result(folder))
     link = quote(Path(os.path.relpath(folder / "report.html", start)).as_posix())
-    counts = Counter(verdict_kind(verdict) for verdict in told["verdicts"])
+    counts, own = (Counter(map(verdict_kind, told.get(key, []))) for key in ("verdicts", "own_verdicts"))
     return Entry(
         scenario=str(told["scenario"]),
         variant=told["variant"] or "",
@@ -105,6 +131,7 @@ def _entry(folder: Path, start: Path) -> Entry:
         sentence=told["sentence"],
         runs=told["runs"],
         verdicts={kind: counts[kind] for kind in KINDS},
+        own={kind: own[kind] for kind in KINDS},
     )
 
 
@@ -118,6 +145,7 @@ def _markdown(entries: list[Entry]) -> str:
         also = ", ".join(
             f"[{v.variant or v.folder}]({v.link})" + (f" ({v.counts})" if v.counts else "") for v in e.variants
         )
-        sentence = f"{e.sentence} Also: {also}." if also else e.sentence
+        sentence = f"{e.sentence} Own claims: {e.own_counts}." if e.own_counts else e.sentence
+        sentence += f" Also: {also}." if also else ""
         lines.append(f"| [{e.title}]({e.link}) | {sentence} | {counts} | {e.runs} |")
     return "# Results\n\n" + "\n".join(lines) + "\n"

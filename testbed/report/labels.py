@@ -24,6 +24,11 @@ DASHES = ["solid", "dash", "dot", "dashdot", "longdash", "longdashdot"]
 MISSING = "–"
 
 
+def short_name(name: str, longest: int) -> str:
+    """A name with its middle left out where a figure has no room for more than ``longest`` characters."""
+    return name if len(name) <= longest else f"{name[: longest // 2]}…{name[-(longest - longest // 2 - 1) :]}"
+
+
 def window_label(window: str) -> str:
     """``all`` -> ``whole flight``; ``phase_3_turn`` -> ``phase 3, turn``."""
     if window == "all":
@@ -73,12 +78,12 @@ def component_label(component: object, position: int, names: Sequence[str]) -> s
 def verdict_kind(verdict: object) -> str:
     """``good``, ``part``, ``bad`` or ``open``: how a verdict is coloured. The word itself always stands beside it."""
     text = str(verdict).lower()
-    if any(word in text for word in ("not tested", "inconclusive", "nan")):
+    if any(word in text for word in ("not tested", "undecided", "inconclusive", "nan")):
         return "open"
-    if text.startswith(("not ", "reversed", "contradict")):
+    if text.startswith(("not ", "reversed", "contradict", "fails")):
         return "bad"
-    if any(word in text for word in ("part", "direction")):
+    if any(word in text for word in ("part", "direction", "depends", "inconsistent")):
         return "part"
-    if text.startswith("reproduced"):
+    if text.startswith(("reproduced", "holds")):
         return "good"
     return "open"

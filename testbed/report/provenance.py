@@ -12,7 +12,7 @@ from typing import Any
 from testbed.errors import InputError
 from testbed.report.results import Result
 
-HIDDEN = {"command", "kind", "identity", "format", "finished", "jobs"}
+HIDDEN = {"command", "kind", "identity", "format", "finished", "jobs", "files"}
 
 
 def rows(result: Result) -> list[tuple[str, str]]:

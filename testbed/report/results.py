@@ -6,9 +6,9 @@ Columns carry their units; times are seconds from the start of the flight.
 
 from __future__ import annotations
 
-import json
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,19 +16,68 @@ from typing import Any
 
 import pandas as pd
 
+from testbed.checksums import read_json
+from testbed.csv_text import read_csv
 from testbed.errors import InputError
+from testbed.store import Store, open_result, optional_part
 
+CLAIMS = (
+    "id text paper_pct measured_pct ci_low ci_high verdict n better than origin margin_pct p_holm median_pct "
+    "lost_better lost_than runaways trimmed_pct"
+)
 CSV_COLUMNS = {
     "summary": "estimator window metric n mean std median p05 p95 ci_low ci_high",
     "timings": "estimator samples median_us min_us",
-    "claims": "id text paper_pct measured_pct ci_low ci_high verdict",
+    "claims": CLAIMS,
     "consistency": "estimator quantity dof n_runs mean lower upper share_inside",
-    "claims-timings": "id text paper_pct measured_pct ci_low ci_high verdict",
+    "claims-timings": CLAIMS,
     "improvements": "estimator baseline window metric improvement_pct ci_low ci_high p_value",
 }
 PARQUET_COLUMNS = {
     "runs": "run estimator status seconds reason",
     "envelopes": "estimator time_s quantity mean p05 p95 rms sigma",
+}
+
+
+TEXT_COLUMNS = ("estimator", "window", "metric", "id", "text", "verdict", "quantity", "baseline", "status", "reason")
+
+
+def _texts(value: Any) -> bool:
+    """Whether a table maps names to texts."""
+    return isinstance(value, dict) and all(isinstance(v, str) for v in value.values())
+
+
+def _tables(value: Any) -> bool:
+    """Whether a list holds tables."""
+    return isinstance(value, list) and all(isinstance(v, dict) for v in value)
+
+
+def _span(row: Any) -> bool:
+    """Whether the last two entries are finite times."""
+    return all(isinstance(v, int | float) and math.isfinite(v) for v in row[-2:])
+
+
+MANIFEST_SHAPES: Mapping[str, Callable[[Any], bool]] = {
+    "settings": lambda v: isinstance(v, dict),
+    "packages": lambda v: isinstance(v, dict),
+    "runs": lambda v: isinstance(v, int),
+    "plugins": lambda v: isinstance(v, list),
+    "estimators": lambda v: isinstance(v, list),
+}
+SCENARIO_SHAPES: Mapping[str, Callable[[Any], bool]] = {
+    "scenario": lambda v: isinstance(v, dict),
+    "estimators": _tables,
+    "monte_carlo": lambda v: isinstance(v, dict),
+    "flight": lambda v: isinstance(v, dict),
+    "sensors": lambda v: isinstance(v, dict),
+}
+INFO_SHAPES: Mapping[str, Callable[[Any], bool]] = {
+    "estimators": _texts,
+    "phases": lambda v: all(len(row) == 3 and _span(row) for row in v),
+    "outages": lambda v: all(len(row) == 2 and _span(row) for row in v),
+    "components": lambda v: isinstance(v, dict) and all(isinstance(c, dict) for c in v.values()),
+    "innovations": lambda v: isinstance(v, dict) and all(isinstance(c, list | dict) for c in v.values()),
+    "sensors": lambda v: isinstance(v, dict) and all(isinstance(c, dict) for c in v.values()),
 }
 
 
@@ -108,6 +157,27 @@ class Result:
     def run_count(self) -> int:
         return int(self.runs["run"].nunique()) if len(self.runs) else int(self.manifest.get("runs", 0) or 0)
 
+    @property
+    def notes(self) -> list[str]:
+        """What the scenario says without effect, in sentences."""
+        return [str(note) for note in self.manifest.get("notes") or []]
+
+    @property
+    def replications(self) -> int:
+        """Runs that differ from one another: copies of a run, as of a recording, count as one."""
+        return int(self.summary["n"].max()) if self.summary["n"].notna().any() else self.run_count
+
+    @property
+    def flown(self) -> bool:
+        """Whether the runs are of a flight, and not of a recording."""
+        return "flight" in self.scenario
+
+    @property
+    def flights_vary(self) -> bool:
+        """Whether each run has a flight of its own."""
+        settings = self.scenario.get("monte_carlo", {})
+        return self.flown and "manoeuvres" in settings.get("vary", []) and bool(settings.get("disperse"))
+
     def components(self, label: str) -> dict[str, list[str]]:
         """Names of the components of an estimator's extras, where ``info.json`` has them (``components``)."""
         return dict(self.info.get("components", {}).get(label, {}))
@@ -137,20 +207,19 @@ def load_result(folder: str | Path) -> Result:
             raise InputError(
                 f"{folder}: no result folder ('{needed}' is missing); `testbed run SCENARIO --out DIR` makes one"
             )
-    try:
-        tables: dict[str, Any] = {k: _read(folder / f"{k}.csv", names) for k, names in CSV_COLUMNS.items()}
-        tables |= {k: _read(folder / f"{k}.parquet", names) for k, names in PARQUET_COLUMNS.items()}
-        timed = tables.pop("claims-timings")
-        tables["claims"] = pd.concat([tables["claims"], timed], ignore_index=True) if len(timed) else tables["claims"]
-        scenario_file = folder / "scenario.toml"
-        scenario = tomllib.loads(scenario_file.read_text("utf-8")) if scenario_file.exists() else {}
-        details = _load_details(folder / "details")
-        manifest = json.loads((folder / "manifest.json").read_text("utf-8"))
-    except (ValueError, OSError, KeyError) as error:
-        raise InputError(f"{folder}: damaged result folder: {error}") from error
-    findings = next((p for p in (folder / "findings.md",) if p.is_file()), None)
-    text = findings.read_text("utf-8") if findings else ""
-    return Result(folder=folder, manifest=manifest, scenario=scenario, findings=text, **tables, **details)
+    store = open_result(folder)
+    if store.manifest.get("finished") is False:
+        raise InputError(f"{folder}: is not finished; complete it with the same testbed run and --resume")
+    tables: dict[str, Any] = {k: _read(store, f"{k}.csv", names) for k, names in CSV_COLUMNS.items()}
+    tables |= {k: _read(store, f"{k}.parquet", names) for k, names in PARQUET_COLUMNS.items()}
+    timed = tables.pop("claims-timings")
+    tables["claims"] = pd.concat([tables["claims"], timed], ignore_index=True) if len(timed) else tables["claims"]
+    store.check("metrics.parquet")
+    scenario = optional_part(store, "scenario.toml", lambda path: tomllib.loads(path.read_text("utf-8"))) or {}
+    text = optional_part(store, "findings.md", lambda path: path.read_text("utf-8")) or ""
+    manifest = _checked(store.manifest, folder / "manifest.json", MANIFEST_SHAPES)
+    scenario = _checked(scenario, folder / "scenario.toml", SCENARIO_SHAPES)
+    return Result(folder=folder, manifest=manifest, scenario=scenario, findings=text, **tables, **_load_details(store))
 
 
 def thin(frame: pd.DataFrame, points: int) -> pd.DataFrame:
@@ -158,23 +227,33 @@ def thin(frame: pd.DataFrame, points: int) -> pd.DataFrame:
     return frame.iloc[:: max(1, -(-len(frame) // points))]
 
 
-def _read(path: Path, columns: str) -> pd.DataFrame:
-    if not path.exists():
-        return pd.DataFrame(columns=columns.split())
-    frame = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
-    return frame.reindex(columns=[*frame.columns, *(c for c in columns.split() if c not in frame.columns)])
+def _read(store: Store, name: str, columns: str) -> pd.DataFrame:
+    wanted = columns.split()
+    texts = {column: str for column in wanted if column in TEXT_COLUMNS}
+
+    def read(path: Path) -> pd.DataFrame:
+        frame = read_csv(path, dtype=texts) if path.suffix == ".csv" else pd.read_parquet(path)
+        for column in wanted:
+            if column not in texts and column in frame and not pd.api.types.is_numeric_dtype(frame[column]):
+                raise ValueError(f"column '{column}' holds something else than numbers")
+        return frame.reindex(columns=[*frame.columns, *(c for c in wanted if c not in frame.columns)])
+
+    frame = optional_part(store, name, read)
+    return pd.DataFrame(columns=wanted) if frame is None else frame
 
 
-def _load_details(folder: Path) -> dict[str, Any]:
-    if not (folder / "info.json").is_file():
+def _load_details(store: Store) -> dict[str, Any]:
+    info = optional_part(store, "details/info.json", read_json)
+    if info is None:
         return {}
-    info = json.loads((folder / "info.json").read_text("utf-8"))
+    info = _checked(info, store.out / "details" / "info.json", INFO_SHAPES)
     found: dict[str, Any] = {"info": info}
-    if (folder / "truth.parquet").exists():
-        found["truth"] = pd.read_parquet(folder / "truth.parquet")
+    if (truth := optional_part(store, "details/truth.parquet", pd.read_parquet)) is not None:
+        found["truth"] = truth
     for kind in ("errors", "innovations", "extras"):
-        paths = {label: folder / f"{kind}-{slug}.parquet" for label, slug in info.get("estimators", {}).items()}
-        found[kind] = {label: pd.read_parquet(path) for label, path in paths.items() if path.exists()}
+        names = {label: f"details/{kind}-{slug}.parquet" for label, slug in info.get("estimators", {}).items()}
+        tables = {label: optional_part(store, name, pd.read_parquet) for label, name in names.items()}
+        found[kind] = {label: table for label, table in tables.items() if table is not None}
     found["innovations"] = {label: _by_aiding(frame) for label, frame in found["innovations"].items()}
     return found
 
@@ -190,3 +269,15 @@ def _by_aiding(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
         part = part.drop(columns=["aiding", *foreign, *(c.replace("s_", "nu_") for c in foreign)])
         found[str(aiding)] = part.reset_index(drop=True)
     return found
+
+
+def _checked(data: dict[str, Any], path: Path, shapes: Mapping[str, Callable[[Any], bool]]) -> dict[str, Any]:
+    """The data, once its entries have the shape that the report reads. Raises InputError naming the first that has not."""
+    for key, fits in shapes.items():
+        try:
+            good = data.get(key) is None or fits(data[key])
+        except (TypeError, ValueError, AttributeError):
+            good = False
+        if not good:
+            raise InputError(f"{path}: damaged ('{key}' is not what testbed run writes)")
+    return {key: value for key, value in data.items() if key not in shapes or value is not None}

@@ -76,34 +76,64 @@ def comparison(result: Result, window: str) -> Table:
     note = (
         f"RMSE ({window_label(window)}) unless the head says otherwise: mean over {over}. Best of each column in bold."
     )
+    if window == "all":
+        note += "".join(f" Note: {sentence}." for sentence in result.notes)
     return Table(f"comparison-{window}", f"Errors, {window_label(window)}", columns, rows, note)
 
 
-def claims(result: Result) -> Table | None:
-    """Each claim of the source with the paper's figure, ours, its interval and the verdict."""
-    if result.claims.empty:
-        return None
+def claims(result: Result) -> list[Table]:
+    """The source's claims and, apart, our own: the stated figure, ours with its interval, and the verdict."""
+    own = result.claims["origin"] == "own"
+    parts = (("claims", "Claims", result.claims[~own]), ("claims-own", "Our own claims", result.claims[own]))
+    return [_claims_table(result, key, title, part.to_dict("records")) for key, title, part in parts if len(part)]
+
+
+def _claims_table(result: Result, key: str, title: str, rows: list[dict[Any, Any]]) -> Table:
     columns = [
         Column("Claim", numeric=False),
-        Column("Paper", "%", title="Improvement that the paper states"),
-        Column("Measured", "%", title="Improvement measured here"),
+        Column("Stated", "%", title="Improvement that the source states, or the margin of an equality claim"),
+        Column("Measured", "%", title="Improvement measured here: ratio of means"),
         Column("95 % interval", "%", numeric=False),
+        Column("Median", "%", title="The same from the median of the paired ratios"),
+        Column("Runs", title="Paired runs"),
+        Column("p", title="Corrected for the number of claims (Holm)"),
         Column("Verdict", numeric=False),
     ]
-    rows = []
-    for claim in result.claims.to_dict("records"):
-        interval = _interval(claim["ci_low"], claim["ci_high"], percent)
-        verdict = str(claim["verdict"]) if isinstance(claim["verdict"], str) else "not tested"
-        cells = [
-            Cell(str(claim["text"])),
-            Cell(percent(claim["paper_pct"]), _value(claim["paper_pct"])),
-            Cell(percent(claim["measured_pct"]), _value(claim["measured_pct"])),
-            Cell(interval or MISSING),
-            Cell(verdict, kind=verdict_kind(verdict)),
-        ]
-        rows.append((str(claim["id"]), cells))
-    note = "Improvement: by how many percent the first method's error is lower; negative means higher. Runs are paired by seed."
-    return Table("claims", "Claims", columns, rows, note, corner="No.")
+    cells = [(str(row["id"]), claim_cells(row)) for row in rows]
+    note = [
+        "Improvement: by how many percent the first method's error is lower; negative means higher. Runs are paired by seed; "
+        f"intervals cover {'flights and seeds' if result.flights_vary else 'seeds of one flight' if result.flown else 'runs'}.",
+        *(told for row in rows if (told := _uneven(row))),
+    ]
+    return Table(key, title, columns, cells, " ".join(note), corner="No.")
+
+
+def claim_cells(claim: Mapping[Any, Any]) -> list[Cell]:
+    """Text, stated figure, effect, interval, median, runs, p-value and verdict of a row of ``claims.csv``."""
+    margin, p_value = _value(claim["margin_pct"]), _value(claim["p_holm"])
+    verdict = str(claim["verdict"]) if isinstance(claim["verdict"], str) else "not tested"
+    stated = percent(claim["paper_pct"]) if margin is None else f"equal ± {margin:g}"
+    return [
+        Cell(str(claim["text"])),
+        Cell(stated, _value(claim["paper_pct"])),
+        Cell(percent(claim["measured_pct"]), _value(claim["measured_pct"])),
+        Cell(_interval(claim["ci_low"], claim["ci_high"], percent) or MISSING),
+        Cell(percent(claim["median_pct"]), _value(claim["median_pct"])),
+        Cell(f"{_value(claim['n']) or 0:.0f}", _value(claim["n"])),
+        Cell("< 0.001" if p_value is not None and p_value < 0.001 else number(p_value, 2), p_value),
+        Cell(verdict, kind=verdict_kind(verdict)),
+    ]
+
+
+def _uneven(claim: Mapping[Any, Any]) -> str:
+    """What a claim's means hide: runs far above all others, and runs that one of the two lost."""
+    runs = claim["runaways"].split() if isinstance(claim["runaways"], str) else []
+    without = f" (without: {percent(claim['trimmed_pct'])} %)"
+    parts = [f"run{'s' * (len(runs) > 1)} {', '.join(runs)} far above all others{without}"] if runs else []
+    for side in ("better", "than"):
+        if lost := int(_value(claim[f"lost_{side}"]) or 0):
+            parts.append(f"{lost} run{'s' * (lost > 1)} lost by {claim[side]}")
+    return f"{claim['id']}: {'; '.join(parts)}." if parts else ""
 
 
 def paper_tables(result: Result) -> list[Table]:
@@ -124,7 +154,7 @@ def _paper_table(result: Result, index: int, spec: Mapping[str, Any]) -> Table:
             cells += [Cell(number(known, 4), _value(known)), _measured(result, window, row, estimator, statistic)]
         name = str(row.get("name", row.get("metric", "")))
         rows.append((f"{name}, {row['unit']}" if row.get("unit") else name, cells))
-    text = f"Ours: {statistic} over {result.run_count} runs with its 95 % interval."
+    text = f"Ours: {statistic} over {result.replications} run{'s' * (result.replications != 1)} with its 95 % interval."
     note = " ".join(filter(None, (str(spec.get("note", "")), text)))
     return Table(
         f"paper-{index}", str(spec.get("title", f"Table {index} of the paper")), columns, rows, note, corner=""
@@ -185,7 +215,7 @@ def consistency(result: Result) -> Table | None:
     kinds = frame.groupby("quantity")["dof"].nunique()
     columns = []
     for quantity in quantities:
-        expected = {f"{dof:g}" for dof in frame.loc[frame["quantity"] == quantity, "dof"]}
+        expected = {f"{dof:.3g}" for dof in frame.loc[frame["quantity"] == quantity, "dof"]}
         group = f"{quantity_label(quantity)} (expect {expected.pop() if len(expected) == 1 else 'as stated'})"
         columns += [
             Column("mean", group=group),
@@ -197,7 +227,7 @@ def consistency(result: Result) -> Table | None:
         for quantity in quantities:
             found = frame[(frame["estimator"] == label) & (frame["quantity"] == quantity)].to_dict("records")
             r = found[0] if found else {}
-            of = f"expect {r['dof']:g}, " if found and kinds[quantity] > 1 else ""
+            of = f"expect {r['dof']:.3g}, " if found and kinds[quantity] > 1 else ""
             bounds = f"{of}bounds {number(r['lower'])} to {number(r['upper'])}" if found else ""
             share = 100.0 * float(r.get("share_inside", math.nan))
             cells += [Cell(number(r.get("mean")), _value(r.get("mean")), bounds), Cell(percent(share), _value(share))]

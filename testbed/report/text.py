@@ -5,6 +5,8 @@ Both render the `Table` values of `testbed.report.tables`; units stand in the co
 
 from __future__ import annotations
 
+import re
+
 from testbed.report import innovations, provenance, tables
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
@@ -24,25 +26,25 @@ def markdown(result: Result, figures: dict[str, str]) -> str:
     if result.findings:
         parts.append("## Findings\n\n" + _demote(result.findings.strip()))
     shown = [comparison_windows(result)[0]] if result.windows else []
-    parts += ["## Comparison"] + [_markdown_table(tables.comparison(result, w)) for w in shown]
+    parts += ["## Comparison"] + [markdown_table(tables.comparison(result, w)) for w in shown]
     if (table := tables.failures(result)) is not None:
-        parts += [f"## {table.title}", _markdown_table(table)]
-    if (table := tables.claims(result)) is not None:
-        parts += [f"## {table.title}", _markdown_table(table)]
+        parts += [f"## {table.title}", markdown_table(table)]
+    for table in tables.claims(result):
+        parts += [f"## {table.title}", markdown_table(table)]
     for table in tables.paper_tables(result):
-        parts += [f"## {table.title}", _markdown_table(table)]
+        parts += [f"## {table.title}", markdown_table(table)]
     others = comparison_windows(result)[1:]
     if others:
         parts.append("## Other windows")
-        parts += [f"### {window_label(w)}\n\n" + _markdown_table(tables.comparison(result, w)) for w in others]
+        parts += [f"### {window_label(w)}\n\n" + markdown_table(tables.comparison(result, w)) for w in others]
     if figures:
         parts += ["## Figures"] + [f"![{caption}](figures/{name})\n\n*{caption}*" for name, caption in figures.items()]
     for table in (tables.consistency(result), innovations.table(result), tables.timings(result)):
         if table is not None:
-            parts += [f"## {table.title}", _markdown_table(table)]
+            parts += [f"## {table.title}", markdown_table(table)]
     if sensors := sensor_tables(result):
         parts.append("## Sensors")
-        parts += [f"### {t.title}\n\n" + _markdown_table(t) for t in sensors]
+        parts += [f"### {t.title}\n\n" + markdown_table(t) for t in sensors]
     parts.append("## Provenance\n\n" + "\n".join(f"- {name}: {value}" for name, value in provenance.rows(result)))
     parts.append("```\n" + provenance.command(result) + "\n```")
     return "\n\n".join(parts) + "\n"
@@ -59,7 +61,7 @@ def _demote(text: str) -> str:
     return "\n".join("#" + line if line.startswith("#") else line for line in text.splitlines())
 
 
-def _markdown_table(table: Table) -> str:
+def markdown_table(table: Table) -> str:
     heads = [table.corner or " "] + [_head(c) for c in table.columns]
     rule = [":---"] + ["---:" if c.numeric else ":---" for c in table.columns]
     lines = ["| " + " | ".join(heads) + " |", "| " + " | ".join(rule) + " |"]
@@ -85,8 +87,8 @@ def _bar(text: str) -> str:
 def latex(result: Result) -> str:
     """Tables for ``\\input``: comparison per window, claims, the paper's tables, consistency, time. Needs booktabs."""
     found = [tables.comparison(result, w) for w in comparison_windows(result)]
-    optional = (tables.claims(result), tables.consistency(result), innovations.table(result), tables.timings(result))
-    found += [table for table in optional if table is not None]
+    optional = (tables.consistency(result), innovations.table(result), tables.timings(result))
+    found += tables.claims(result) + [table for table in optional if table is not None]
     found += tables.paper_tables(result)
     return "% needs \\usepackage{booktabs}\n\n" + "\n".join(_latex_table(result, t) for t in found)
 
@@ -98,7 +100,8 @@ def _latex_table(result: Result, table: Table) -> str:
         "  \\centering\\footnotesize\\setlength{\\tabcolsep}{4pt}",
         f"  \\caption{{{_escape(f'{table.title}. {table.note}')}}}",
     ]
-    lines += [f"  \\label{{tab:{result.name}-{table.key}}}", f"  \\begin{{tabular}}{{{layout}}}", "    \\toprule"]
+    key = re.sub(r"[^A-Za-z0-9.:_-]", "-", f"{result.name}-{table.key}")  # in a label nothing can be escaped
+    lines += [f"  \\label{{tab:{key}}}", f"  \\begin{{tabular}}{{{layout}}}", "    \\toprule"]
     lines += [*_latex_heads(table), "    \\midrule"]
     for name, cells in table.rows:
         lines.append("    " + " & ".join([_escape(name), *(_latex_cell(c) for c in cells)]) + " \\\\")

@@ -2,23 +2,23 @@
 
 Overlapping Allan deviation by the package allantools (Riley, NIST SP 1065); model curve of white noise, first-order
 Gauss-Markov bias and rate random walk after IEEE Std 952-1997, annex C. Samples in rad/s or m/s², cluster times in s.
-
-The fit is a weighted nonlinear least squares of the model's Allan variance to the measured one, both in logarithms, with
-weights from the number of independent clusters. Neighbouring cluster times are correlated, which the least squares does
-not know; so the stated uncertainties come from the sampling theory of each process, not from the residuals.
+The fit and its intervals: `testbed.sensors.allan_fit`.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from testbed.errors import InputError
+from testbed.files import write_with
 from testbed.records import Array, SensorLog
+from testbed.sensors.allan_fit import Curve, Figures, fit_allan, markov_shape
 from testbed.specs import GAUSS_MARKOV_PEAK, TriadSpec
 
 if TYPE_CHECKING:
@@ -27,28 +27,9 @@ if TYPE_CHECKING:
 POINTS_PER_OCTAVE = 3
 FEWEST_CLUSTERS = 5
 """Cluster times reach to this part of the record."""
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Overlapping Allan deviation: cluster times ``tau`` (m,), ``deviation`` (m,), and the clusters that fit (m,)."""
-
-    tau: Array
-    deviation: Array
-    clusters: Array
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Fitted coefficients, each with a 1-sigma uncertainty. Units u, u·√s, u/√s for samples of unit u."""
-
-    white_noise: float
-    bias_instability: float
-    correlation_time_s: float
-    rate_random_walk: float
-    white_noise_std: float
-    bias_instability_std: float
-    rate_random_walk_std: float
+APART = 4.0
+"""Sigmas between an axis and the value of all: among the 18 of a unit, of equal axes, once in 900 units."""
+COLUMNS = ["triad", "axis", "figure", "unit", "fitted", "std", "data_sheet", "difference_pct", "note"]
 
 
 def allan_deviation(samples: Array, rate_hz: float) -> Curve:
@@ -62,81 +43,17 @@ def allan_deviation(samples: Array, rate_hz: float) -> Curve:
     # Without its mean the integrated phase keeps its digits.
     centred = np.asarray(samples, dtype=np.float64) - np.mean(samples)
     tau, deviation, _, _ = allantools.oadev(centred, rate=rate_hz, data_type="freq", taus=sizes / rate_hz)
-    return Curve(tau, deviation, n / sizes - 1.0)
+    return Curve(tau, deviation)
 
 
 def pooled(curves: list[Curve]) -> Curve:
     """The curve of several axes of one kind: the root of their mean Allan variance."""
-    variance = np.mean([curve.deviation**2 for curve in curves], axis=0)
-    return Curve(curves[0].tau, np.sqrt(variance), np.sum([curve.clusters for curve in curves], axis=0))
+    return Curve(curves[0].tau, np.sqrt(np.mean([curve.deviation**2 for curve in curves], axis=0)))
 
 
 def model_deviation(tau: Array, white_noise: float, markov_sigma: float, correlation_time: float, rrw: float) -> Array:
     """Allan deviation of white noise + Gauss-Markov + rate random walk. IEEE Std 952-1997 eq. C.7, C.16 and C.11."""
-    return np.sqrt(white_noise**2 / tau + markov_sigma**2 * _markov_shape(tau / correlation_time) + rrw**2 * tau / 3.0)
-
-
-def _markov_shape(x: Array) -> Array:
-    """Allan variance of a first-order Gauss-Markov process of sigma 1 at ``x`` correlation times; a series near zero."""
-    x = np.asarray(x, dtype=np.float64)
-    small = x < 0.02
-    safe = np.where(small, 1.0, x)
-    exact = 2.0 / safe - (3.0 - 4.0 * np.exp(-safe) + np.exp(-2.0 * safe)) / safe**2
-    return np.where(small, x * (2.0 / 3.0 - 0.5 * x + 7.0 / 30.0 * x * x), exact)
-
-
-def fit_allan(curve: Curve, duration_s: float, axes: int = 1, markov: bool = True, walk: bool = True) -> Figures:
-    """Coefficients of the model from the curve of ``axes`` axes, each recorded for ``duration_s``.
-
-    ``markov=False`` and ``walk=False`` leave out a process that the sensor is known not to have. Bias instability is the
-    peak of the fitted Gauss-Markov part: the flat that white noise and random walk leave.
-    """
-    from scipy.optimize import least_squares
-
-    tau = curve.tau
-    if not (curve.deviation > 0.0).all():
-        return Figures(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    target, weight = 2.0 * np.log(curve.deviation), np.sqrt(0.5 * curve.clusters)
-    white, floor = float(curve.deviation[0] * math.sqrt(tau[0])), float(curve.deviation.min())
-    slope = floor / math.sqrt(tau[-1])
-    # Rows: white noise, Gauss-Markov sigma, correlation time, rate random walk; columns: lower bound, upper bound.
-    bounds = np.array(
-        [[1e-3 * white, 1e3 * white], [1e-4 * floor, 1e2 * floor], [2.0 * tau[0], tau[-1]], [1e-5 * slope, 1e3 * slope]]
-    )
-    free = np.array([True, markov, markov, walk])
-
-    def coefficients(p: Array) -> Array:
-        full = np.array([0.0, 0.0, 1.0, 0.0])
-        full[free] = np.exp(p)
-        return full
-
-    def residuals(p: Array) -> Array:
-        return weight * (2.0 * np.log(model_deviation(tau, *coefficients(p))) - target)
-
-    guesses = [t for t in (10.0, 50.0, 200.0, 1000.0) if bounds[2, 0] < t < bounds[2, 1]] if markov else [1.0]
-    starts = [np.array([white, floor, guess, slope]) for guess in guesses or [float(np.sqrt(bounds[2].prod()))]]
-    log_bounds = np.log(bounds[free]).T
-    fits = [least_squares(residuals, np.log(start[free]), bounds=log_bounds, x_scale=0.1) for start in starts]
-    n, sigma, time, rrw = coefficients(min(fits, key=lambda fit: fit.cost).x)
-    total = axes * duration_s
-    return Figures(
-        float(n),
-        float(GAUSS_MARKOV_PEAK * sigma),
-        float(time) if markov else 0.0,
-        float(rrw),
-        white_noise_std=float(n * math.sqrt(tau[0] / (2.0 * total))),
-        bias_instability_std=float(GAUSS_MARKOV_PEAK * sigma * math.sqrt(time / (2.0 * total))),
-        rate_random_walk_std=_walk_std(n, sigma, time, rrw, duration_s, axes),
-    )
-
-
-def _walk_std(white: float, sigma: float, time: float, rrw: float, duration_s: float, axes: int) -> float:
-    """Periodogram lines at which the walk rules the spectrum decide: each gives its variance to 100 %."""
-    if rrw == 0.0:
-        return 0.0
-    rest = white**2 + 2.0 * sigma**2 * time
-    lines = max(1.0, axes * duration_s * rrw / (2.0 * math.pi * math.sqrt(rest)))
-    return rrw / (2.0 * math.sqrt(lines))
+    return np.sqrt(white_noise**2 / tau + markov_sigma**2 * markov_shape(tau / correlation_time) + rrw**2 * tau / 3.0)
 
 
 @dataclass(frozen=True)
@@ -168,35 +85,54 @@ def _units(triad: str) -> dict[str, _Unit]:
 def analyse(log: SensorLog) -> pd.DataFrame:
     """Fitted figures beside the specification: one row per triad, axis (``x``, ``y``, ``z``, ``all``) and figure.
 
-    Columns: triad, axis, figure, unit, fitted, std (1 sigma), data_sheet, difference_pct. ``all`` is the fit to the mean
-    Allan variance of the three axes. A process that the log's specification denies is not fitted; without a specification
-    (a recording) all are. A log that moves shows its motion: the figures are those of a sensor only at rest.
+    Columns: triad, axis, figure, unit, fitted, std (1 sigma), data_sheet, difference_pct, note. A figure that is not told
+    apart from zero is NaN, and the note gives its upper limit. ``all`` is the fit to the mean Allan variance of the three
+    axes, where one value fits them: where an axis lies more than `APART` sigmas from it, it is NaN and the note says so.
+    A process that the log's specification denies is not fitted; without a specification (a recording) all are. A log that
+    moves shows its motion: the figures are those of a sensor only at rest.
     """
     import pandas as pd
 
     rows = []
     for triad, samples, spec in _triads(log):
         curves = [allan_deviation(samples[:, i], _rate(log)) for i in range(3)]
-        for axis, curve in zip(("x", "y", "z", "all"), [*curves, pooled(curves)], strict=True):
-            figures = _fit(curve, log, spec, 3 if axis == "all" else 1)
+        each = [_fit(curve, log, spec, 1) for curve in curves]
+        together = _fit(pooled(curves), log, spec, 3)
+        for axis, figures in zip(("x", "y", "z", "all"), [*each, together], strict=True):
             for key, unit in _units(triad).items():
-                fitted, promised = getattr(figures, key), getattr(spec, key)
-                if not fitted and not promised:
-                    continue
-                rows.append(
-                    {
-                        "triad": triad,
-                        "axis": axis,
-                        "figure": unit.name,
-                        "unit": unit.unit,
-                        "fitted": fitted * unit.factor,
-                        "std": getattr(figures, f"{key}_std") * unit.factor,
-                        "data_sheet": promised * unit.factor if promised else math.nan,
-                        "difference_pct": 100.0 * (fitted / promised - 1.0) if promised else math.nan,
-                    }
-                )
-    columns = ["triad", "axis", "figure", "unit", "fitted", "std", "data_sheet", "difference_pct"]
-    return pd.DataFrame(rows, columns=columns)
+                note = _strangers(key, together, each) if axis == "all" else ""
+                row = _row(figures, key, getattr(spec, key), unit, note)
+                if row is not None:
+                    rows.append({"triad": triad, "axis": axis} | row)
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _row(figures: Figures, key: str, promised: float, unit: _Unit, note: str) -> dict[str, Any] | None:
+    """A figure in its unit; None where neither the fit nor the data sheet knows it."""
+    fitted, limit = getattr(figures, key), figures.limits.get(key)
+    if not fitted and not promised:
+        return None
+    if not fitted or note:
+        told = note or ("not told apart from zero" + (f": below {limit * unit.factor:.3g}" if limit else ""))
+        value = std = math.nan
+    else:
+        value, std, told = fitted * unit.factor, getattr(figures, f"{key}_std") * unit.factor, ""
+    sheet = promised * unit.factor if promised else math.nan
+    difference = 100.0 * (value / sheet - 1.0)
+    row = {"figure": unit.name, "unit": unit.unit, "fitted": value, "std": std}
+    return row | {"data_sheet": sheet, "difference_pct": difference, "note": told}
+
+
+def _strangers(key: str, together: Figures, each: list[Figures]) -> str:
+    """Why one value does not fit all axes; empty where it does."""
+    value = getattr(together, key)
+    for axis, figures in zip("xyz", each, strict=True):
+        own, std = getattr(figures, key), getattr(figures, f"{key}_std")
+        if own and value and abs(own - value) > APART * math.hypot(std, getattr(together, f"{key}_std")):
+            return f"the axes differ: {axis} does not fit a common value"
+        if not own and value and value > 2.0 * figures.limits.get(key, math.inf):
+            return f"the axes differ: {axis} has less than a common value"
+    return ""
 
 
 def plot(log: SensorLog, path: str | Path) -> None:
@@ -221,7 +157,7 @@ def plot(log: SensorLog, path: str | Path) -> None:
         )
         axes.grid(True, which="both", lw=0.3)
         axes.legend(fontsize=7)
-    figure.savefig(path, dpi=80)
+    write_with(Path(path), partial(figure.savefig, format="png", dpi=80))
 
 
 def _draw_fit(axes: Any, tau: Array, fit: Figures, factor: float) -> None:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import functools
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import InputError, nearest
+from testbed.errors import InputError, nearest, shown
+from testbed.schema import read_toml
 from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 
 SHIPPED = Path(__file__).with_name("catalog.toml")
@@ -25,6 +25,8 @@ REMARKS = ("source", "assumed")
 """Keys of an entry that are no figures."""
 POSITIVE = ("rate_hz", "correlation_time_s", "markov_time_s", "bandwidth_hz", "range")
 """Figures that must not be zero."""
+HIGHEST_RATE_HZ = 10_000.0
+"""Ten times the highest rate of a flight: a sensor that is faster records nothing new."""
 _DEG = math.pi / 180.0
 _MGAUSS = 0.1  # µT
 
@@ -111,12 +113,7 @@ def keys(kind: str) -> dict[str, tuple[str, float]]:
 @functools.cache
 def read(file: Path) -> dict[str, dict[str, dict[str, Any]]]:
     """A checked catalogue file: kind to name to entry. Raises InputError that names the file and the key."""
-    try:
-        tables = tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{file}: cannot read the sensor catalogue ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: not valid TOML: {error}") from None
+    tables = read_toml(file)
     for kind, entries in tables.items():
         if kind not in SPECS:
             raise InputError(f"{file}: unknown kind of sensor [{kind}]; {nearest(kind, SPECS)}")
@@ -145,23 +142,25 @@ def _resolve(kind: str, table: Mapping[str, Any], where: str) -> dict[str, Any]:
         origin[path] = key
         out[path] = _number(value, factor, path.endswith("true_bias"), f"{where}: '{key}'")
         if path.rpartition(".")[2] in POSITIVE and not out[path] > 0.0:
-            raise InputError(f"{where}: '{key}' must be positive, is {value}")
+            raise InputError(f"{where}: '{key}' must be positive, is {shown(value)}")
+        if path == "rate_hz" and out[path] > HIGHEST_RATE_HZ:
+            raise InputError(f"{where}: '{key}' must be at most {HIGHEST_RATE_HZ:g}, is {shown(value)}")
     return out
 
 
 def _number(value: Any, factor: float, vector: bool, where: str) -> Any:
     if vector:
         if not isinstance(value, list | tuple) or len(value) != 3:
-            raise InputError(f"{where} must be a list of three numbers, is {value!r}")
+            raise InputError(f"{where} must be a list of three numbers, is {shown(value)}")
         return tuple(factor * _finite(v, where) for v in value)
     if (number := _finite(value, where)) < 0.0:
-        raise InputError(f"{where} must not be negative, is {value}")
+        raise InputError(f"{where} must not be negative, is {shown(value)}")
     return factor * number
 
 
 def _finite(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{where} must be a finite number, is {value!r}")
+        raise InputError(f"{where} must be a finite number, is {shown(value)}")
     return float(value)
 
 

@@ -144,7 +144,8 @@ class ImuConfig(SensorTable):
 class RandomOutages(Table):
     """Outages drawn anew in every run: they never overlap."""
 
-    count: Annotated[int, Field(ge=1)]
+    count: Annotated[int, Field(ge=1, le=10_000)]
+    """At most one in 20 s of the longest flight (200,000 s)."""
     duration_s: Positive
     after_s: NonNegative = 60.0
     """Not before this time."""

@@ -32,8 +32,8 @@ How to read it:
   sigma. In the total curve it stands on the white noise that is left at that cluster time, so it is the fit that is
   compared, not the lowest point of the curve. A process that a specification does not have is not fitted; the correlation
   time is fitted, not taken from the catalogue.
-- `std` is the sampling error that a record of this length allows at best (Gauss-Markov: one value per two correlation
-  times). The fit weighs cluster times as if they were independent, which costs a little more.
+- `std` is the sampling error of the fit for a record of this length, with what neighbouring cluster times share. A figure
+  that is not told apart from zero is not given.
 - The quantisation error of a coarse part (ADIS16405: 3.33 mg/LSB) is within the data sheet's random walk, which is
   measured at the output: the generator draws only what quantisation does not add.
 - A first-order Gauss-Markov process has a hump, not a long flat. Where a part's white noise is low (accelerometers of the
@@ -76,7 +76,7 @@ def _markdown(table: pd.DataFrame) -> str:
     ]
     for row in table[table["axis"] == "all"].to_dict("records"):
         limit = LIMITS_PCT[row["figure"]]
-        verdict = "met" if abs(row["difference_pct"]) <= limit else "MISSED"
+        verdict = "met" if abs(row["difference_pct"]) <= limit else row["note"] or "MISSED"
         cells = [
             *(row["imu"], f"{row['triad']} {row['figure']}", row["unit"], f"{row['data_sheet']:.4g}"),
             *(f"{row['fitted']:.4g}", f"{row['std']:.2g}", f"{row['difference_pct']:+.2f} %", f"{limit:g} %", verdict),

@@ -41,7 +41,7 @@ def sense_gnss(
     errors = factor[:, None] * _errors(spec, len(moments), draws)
     constants: dict[str, Any] = {}
     if config.outliers is not None:
-        bursts = _bursts(config.outliers, trajectory, draws)
+        bursts = _bursts(config.outliers, trajectory, len(moments), draws)
         constants["gnss_outlier_bursts"] = bursts
         errors += _burst_errors(config.outliers, bursts, stamps, draws)
     north, east = metres_per_radian(lat, h)
@@ -143,7 +143,11 @@ def _dilution(config: GnssConfig, trajectory: Trajectory, t: Array) -> tuple[Arr
     return factor, reported
 
 
-def _bursts(wanted: OutlierBursts, trajectory: Trajectory, draws: Draws) -> Windows:
+def _bursts(wanted: OutlierBursts, trajectory: Trajectory, fixes: int, draws: Draws) -> Windows:
+    if wanted.count > fixes:
+        raise InputError(
+            f"[sensors.gnss.outliers] {wanted.count} bursts are more than the {fixes} fixes of this flight"
+        )
     first, last = trajectory.t[0] + wanted.after_s, trajectory.t[-1] - wanted.duration_s
     if last < first:
         raise InputError(
@@ -159,7 +163,7 @@ def _burst_errors(wanted: OutlierBursts, bursts: Windows, t: Array, draws: Draws
     directions = draws.noise("gnss.outliers.direction").standard_normal((len(bursts), 2, 3))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     for burst, (position, velocity) in zip(bursts, directions, strict=True):
-        inside = _inside((burst,), t)
+        inside = slice(*np.searchsorted(t, burst))
         errors[inside, :3] += wanted.offset_m * position
         errors[inside, 3:] += wanted.offset_mps * velocity
     return errors

@@ -34,7 +34,7 @@ class MyEstimator:
             raise InputError("my-estimator: position_gain and velocity_gain must lie between 0 and 1")
 
     def run(self, log: SensorLog) -> NavSolution:
-        """All that is known is in ``log``: .imu, .gnss (may be None), .mag, .baro, .initial. The truth is not in it."""
+        """All that is known is in ``log``: .imu, .initial, .gnss, .mag, .baro ... (each may be None). The truth is not in it."""
         imu, gnss, start = log.imu, log.gnss, log.initial
         if gnss is None:
             raise InputError("my-estimator: the scenario has no [sensors.gnss]")
@@ -46,7 +46,7 @@ class MyEstimator:
         _navigate(
             start.t, imu.t, imu.gyro, imu.accel, fixes, first, start.accel_bias, start.gyro_bias, gains, out, bias
         )
-        # Optional, for NEES, NIS and three-sigma bands: std (N,15), covariance, innovations; see testbed.records.
+        # Optional, for NEES, NIS and three-sigma bands: states with std (N,n), covariance, innovations; see testbed.records.
         return NavSolution(imu.t, out[:, 0], out[:, 1], out[:, 2], out[:, 3:6], out[:, 6:10], gyro_bias=bias)
 
 

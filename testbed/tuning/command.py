@@ -9,10 +9,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from testbed.errors import InputError
+from testbed.csv_text import read_csv
+from testbed.errors import InputError, MissingExtra
+from testbed.resources import has_package
+from testbed.screen import tell_user
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
+    from testbed.tuning.config import TuneConfig
     from testbed.tuning.tune import Progress
 
 QUIET_S = 10.0
@@ -44,6 +48,7 @@ def tune(
         seeds=_numbers("--seeds", seeds),
         population=population,
     )
+    config = _without_extras(config, asked=algorithms is not None)
     variant = f"-{scenario.variant}" if scenario.variant else ""
     folder = out or Path("results") / f"{scenario.name}{variant}-tuning"
     with progress_line() as tell:
@@ -54,11 +59,29 @@ def tune(
         print(f"report: {folder / 'report.html'}; parameter files: {folder / 'best'}")
 
 
+def _without_extras(config: TuneConfig, asked: bool) -> TuneConfig:
+    """Leave out, with a note, what needs a package that is not there; MissingExtra where it was ``asked`` for by name."""
+    from testbed.tuning.library import CMA_ES, NEEDS_CMA
+
+    if has_package("cma"):
+        return config
+    left = [name for name in config.algorithms if name != CMA_ES]
+    changes: dict[str, Any] = {}
+    if left != config.algorithms:
+        if asked or not left:
+            raise MissingExtra(NEEDS_CMA)
+        changes["algorithms"] = left
+        tell_user(f"note: {NEEDS_CMA}; it is left out")
+    if config.innovation_search == CMA_ES:
+        changes["innovation_search"] = "de"
+        tell_user(f"note: {NEEDS_CMA}; the innovations are searched by differential evolution")
+    return config.model_copy(update=changes)
+
+
 def print_study(folder: Path) -> None:
     """The held-out table on screen."""
-    import pandas as pd
 
-    table = pd.read_csv(folder / "heldout.csv").sort_values("test", kind="stable")
+    table = read_csv(folder / "heldout.csv").sort_values("test", kind="stable")
     print("objective on the runs of the search (train) and on unseen ones (test); improvement over the data sheet in %")
     print(table.to_string(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
 

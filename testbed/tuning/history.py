@@ -6,7 +6,7 @@ files only. A resumed search asks again from the start and is told the stored va
 
 from __future__ import annotations
 
-import io
+import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,25 +14,37 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from testbed.checksums import DamagedError, sealed_parquet, unsealed
 from testbed.errors import InputError
+from testbed.files import write_atomic
 from testbed.records import Array
-from testbed.store import write_atomic
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+AGAIN = "run the same command with --resume"
 
 
 class History:
     """Evaluations of one search in the order asked; ``names`` (d,) are the coordinates. Saved every ``interval_s``.
 
     ``relatives`` are files of searches that may have asked for the same at the same place, such as those of another length:
-    an algorithm without a schedule over its whole length starts a long search as it does a short one.
+    an algorithm without a schedule over its whole length starts a long search as it does a short one. ``study``: hash of what
+    the values depend on; what was stored for another is refused.
     """
 
-    def __init__(self, path: Path, names: list[str], interval_s: float = 10.0, relatives: Sequence[Path] = ()) -> None:
-        self.path, self.names, self.interval_s = path, names, interval_s
-        self.x, self.f, self.seconds = read_evaluations(path, names) if path.exists() else _empty(len(names))
-        self._relatives = {other: read_evaluations(other, names) for other in relatives if other.exists()}
+    def __init__(
+        self,
+        path: Path,
+        names: list[str],
+        interval_s: float = 10.0,
+        relatives: Sequence[Path] = (),
+        study: str | None = None,
+    ) -> None:
+        self.path, self.names, self.interval_s, self.study = path, names, interval_s, study
+        self.x, self.f, self.seconds = read_evaluations(path, names, study) if path.exists() else _empty(len(names))
+        self._relatives = {other: read_evaluations(other, names, study) for other in relatives if other.exists()}
         self._replayed = 0
         self._fresh: list[tuple[Array, Array, float]] = []
         self._saved_at = time.monotonic()
@@ -89,29 +101,31 @@ class History:
     def save(self) -> None:
         """Write the file, if there is anything new."""
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
         self._saved_at = time.monotonic()
         if not self._fresh:
             return
         x, f, seconds = self.all()
         columns = dict(zip(self.names, x.T, strict=True)) | {"objective": f, "seconds": seconds}
-        buffer = io.BytesIO()
-        pq.write_table(pa.table(columns), buffer)
-        write_atomic(self.path, buffer.getvalue())
+        header = {"testbed": json.dumps({"study": self.study, "search": self.path.stem}).encode()}
+        write_atomic(self.path, sealed_parquet(pa.table(columns).replace_schema_metadata(header)), AGAIN)
 
 
-def read_evaluations(path: Path, names: list[str]) -> tuple[Array, Array, Array]:
-    """``x``, ``f``, ``seconds`` of a file. Raises InputError when it is none or has other coordinates."""
+def read_evaluations(path: Path, names: list[str], study: str | None = None) -> tuple[Array, Array, Array]:
+    """``x``, ``f``, ``seconds`` of a file.
+
+    Raises InputError when it is damaged, of another search or another ``study`` (None: of any), or has other coordinates.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        table = pq.read_table(path)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise InputError(
-            f"{path}: not a readable file of evaluations ({error}); delete it to start this search anew"
-        ) from None
+        table = pq.read_table(pa.BufferReader(unsealed(path)))
+    except DamagedError as error:
+        raise InputError(f"{error}; delete it to start this search anew") from None
+    header = json.loads(table.schema.metadata[b"testbed"])
+    if header["search"] != path.stem or study not in (None, header["study"]):
+        raise InputError(f"{path}: holds the evaluations of another search or study; delete it to start this one anew")
     if table.column_names != [*names, "objective", "seconds"]:
         raise InputError(f"{path}: has the columns {', '.join(table.column_names)}; the space of the search is another")
     x = np.column_stack([table[name].to_numpy() for name in names])

@@ -13,9 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from testbed.errors import InputError
+from testbed.errors import MissingExtra
 from testbed.records import Array
 from testbed.tuning.search import Bounds, Steps
+
+CMA_ES = "cma-es"
+NEEDS_CMA = f"algorithm '{CMA_ES}' needs the package cma: pip install 'navigation-testbed[tuning]'"
 
 
 def cma_es(bounds: Bounds, population: int, iterations: int, rng: np.random.Generator, sigma: float = 0.3) -> Steps:
@@ -23,7 +26,7 @@ def cma_es(bounds: Bounds, population: int, iterations: int, rng: np.random.Gene
     try:
         import cma
     except ImportError:
-        raise InputError("algorithm 'cma-es' needs the package cma: pip install navigation-testbed[tuning]") from None
+        raise MissingExtra(NEEDS_CMA) from None
     width = bounds.high - bounds.low
     options: dict[str, Any] = {
         "popsize": population,

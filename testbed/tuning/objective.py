@@ -1,8 +1,8 @@
 """The objective of a search: a population of candidates in, one value for each out; sensing is done once.
 
 Metrics as `testbed.metrics` names them (m, m/s, degrees), summed over metrics and cases and averaged over runs. Candidates and
-recordings are spread over threads where the estimator releases Python's lock (a method ``searcher``, whose result may take
-``batch_size`` candidates at once by a method ``batch``), else over processes.
+recordings are spread over threads where the estimator releases Python's lock (a method ``searcher`` of the class that
+defines ``run``, whose result may take ``batch_size`` candidates at once by a method ``batch``), else over processes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from testbed import pipeline
 from testbed.errors import InputError
 from testbed.metrics import divergence, error_series, score
 from testbed.records import Array, Innovations, SensorErrors, SensorLog, Trajectory
-from testbed.registry import estimator_class, load_plugin, make_estimator
+from testbed.registry import estimator_class, fast_path, load_plugin, make_estimator
 from testbed.scenario import Scenario
 from testbed.tuning.config import RMSE_METRICS, TuneConfig, case_scenario, tuned_entry
 from testbed.tuning.space import Space, make_space
@@ -126,7 +126,7 @@ class Objective:
 
     def _path(self, stride: int) -> tuple[Callable[[Task], list[float]], Executor | None]:
         self._portion = 1
-        make_searcher = getattr(estimator_class(self.estimator), "searcher", None)
+        make_searcher = fast_path(estimator_class(self.estimator), "searcher")
         self.fast = (
             make_searcher is not None and self.window == "all" and set(self.metrics) <= {*RMSE_METRICS, DEVIANCE}
         )

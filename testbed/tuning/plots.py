@@ -6,11 +6,13 @@ Small PNG files. Coordinates have no unit (log10 of a factor, or the value itsel
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from testbed.files import write_with
 from testbed.metrics import error_series
 from testbed.registry import make_estimator
 from testbed.scoring.quantities import AXES, axis_title
@@ -133,6 +135,5 @@ def _pyplot() -> Any:
 
 
 def _save(figure: Any, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=DPI)
+    write_with(path, partial(figure.savefig, format="png", dpi=DPI))
     _pyplot().close(figure)

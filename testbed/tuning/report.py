@@ -5,57 +5,31 @@ Objective: sum of the scenario's metrics (m, m/s, degrees). The paper's figures 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from testbed.csv_text import csv_text, read_csv
 from testbed.errors import InputError
-from testbed.scenario import Scenario, load_scenario
-from testbed.schema import read_toml, validate
-from testbed.store import write_atomic, write_json
+from testbed.files import as_json, write_atomic
+from testbed.folders import Folder
+from testbed.schema import read_toml
 from testbed.tuning import tables
-from testbed.tuning.config import TuneConfig, tuned_entry
+from testbed.tuning.config import tuned_entry
 from testbed.tuning.objective import record, scenario_space
 from testbed.tuning.speed import TABLE_EVALUATIONS
-from testbed.tuning.tune import DATA_SHEET, INNOVATIONS, read_manifest
+from testbed.tuning.study import Study
+from testbed.tuning.tune import DATA_SHEET, INNOVATIONS, KIND
 
 if TYPE_CHECKING:
     import pandas as pd
 
 SEEDS = 20
 PAPER_HOURS = 1140.0
-
-
-class Study:
-    """A finished study as read from its folder."""
-
-    def __init__(self, folder: Path) -> None:
-        import pandas as pd
-
-        manifest = read_manifest(folder)
-        if manifest is None:
-            raise InputError(f"{folder}: no tuning study (no manifest.json of one)")
-        if not manifest["finished"]:
-            raise InputError(f"{folder}: this study is not finished; complete it with testbed tune ... --resume")
-        self.folder, self.manifest = folder, manifest
-        self.config: TuneConfig = validate(TuneConfig, manifest["tune"], f"{folder}/manifest.json")
-        self.scenario: Scenario = load_scenario(folder / "scenario.toml")
-        read = {
-            name: pd.read_csv(folder / f"{name}.csv")
-            for name in ("searches", "history", "timings", "scores", "heldout")
-        }
-        self.searches, self.history, self.timings = read["searches"], read["history"], read["timings"]
-        self.scores, self.heldout = read["scores"], read["heldout"]
-        self.algorithms = list(dict.fromkeys(self.searches[self.searches["kind"] == "objective"]["algorithm"]))
-        self.lines = tables.by_algorithm(self.searches, self.scores, self.timings)
-        self.statistics = tables.statistic_rows(self.lines, self.algorithms)
-
-    def paper(self, quantity: str, statistic: str = "") -> dict[str, float]:
-        """The printed figures of a row, by algorithm."""
-        return next((r.values for r in self.config.paper if (r.quantity, r.statistic) == (quantity, statistic)), {})
 
 
 def write_report(
@@ -67,15 +41,45 @@ def write_report(
     `write_functions` left in ``out`` is shown. Raises InputError when the folder holds no finished study.
     """
     study = Study(Path(folder))
-    target = Path(out) if out is not None else study.folder
+    if out is not None and Path(out).resolve() != study.folder.resolve():
+        return _write(study, _Target(Path(out)), figures, others)
+    with Folder.open(study.folder, KIND) as own:
+        path = _write(study, _Target(study.folder, own), figures, others)
+        own.save()
+    return path
+
+
+class _Target:
+    """Where a report goes: the folder of its study, which lists it, or another one."""
+
+    def __init__(self, path: Path, own: Folder | None = None) -> None:
+        self.path, self._own = path, own
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write a file."""
+        if self._own is not None:
+            self._own.write(name, content)
+        else:
+            write_atomic(self.path / name, content)
+
+    def draw(self, name: str, draw: Callable[[Path], object]) -> None:
+        """Have a figure drawn."""
+        if self._own is not None:
+            self._own.claim([name])
+        draw(self.path / name)
+        if self._own is not None:
+            self._own.finish(name)
+
+
+def _write(study: Study, to: _Target, figures: bool, others: Sequence[Path]) -> Path:
+    target = to.path
     ranks = tables.rank_sums(study.statistics[_of_paper(study.statistics.columns, study)])
     beside, verdicts = comparison(study), claims(study, ranks)
-    for name, table in (
-        ("table2.csv", beside),
-        ("table4.csv", ranks.reset_index(names="algorithm")),
-        ("heldout.csv", study.heldout),
-    ):
-        write_atomic(target / name, table.to_csv(index=False, float_format="%.6g").encode())
+    written = {"table2.csv": beside, "table4.csv": ranks.reset_index(names="algorithm")}
+    if target.resolve() != study.folder.resolve():
+        written["heldout.csv"] = study.heldout
+    for name, table in written.items():
+        to.write(name, csv_text(table, float_format="%.6g").encode())
     parts = [
         f"# {study.manifest['title'] or study.manifest['scenario']}\n",
         _what_was_run(study),
@@ -91,23 +95,23 @@ def write_report(
         markdown(study.heldout.sort_values("train", kind="stable")),
     ]
     if others:
-        parts += _several(study, others, target, figures)
+        parts += _several(study, others, to, figures)
     if (target / "functions.csv").is_file():
         parts += _functions(target / "functions.csv")
     if (target / "speed.csv").is_file():
         parts += _speed(target / "speed.csv")
     if figures:
-        parts += _figures(study, target)
-    path = target / "report.md"
-    write_atomic(path, "\n".join(parts).encode())
-    write_page(study, path, verdicts)
-    return path
+        parts += _figures(study, to)
+    to.write("report.md", "\n".join(parts).encode())
+    _write_page(study, to, verdicts)
+    return target / "report.md"
 
 
-def write_page(study: Study, text: Path, verdicts: Sequence[Claim]) -> None:
+def _write_page(study: Study, to: _Target, verdicts: Sequence[Claim]) -> None:
     """``report.html`` from ``report.md`` and ``findings.md`` beside it, and ``report.json``: what an index shows of the study."""
     from testbed.report import html
 
+    text = to.path / "report.md"
     findings = text.with_name("findings.md")
     source = text.read_text(encoding="utf-8").partition("\n")[2]
     if findings.is_file():
@@ -123,8 +127,8 @@ def write_page(study: Study, text: Path, verdicts: Sequence[Claim]) -> None:
         "verdicts": [claim.verdict for claim in verdicts],
     }
     page = html.document(entry["title"], "Navigation testbed, tuning study", entry["sentence"], source, text.parent)
-    write_atomic(text.with_suffix(".html"), page.encode())
-    write_json(text.with_suffix(".json"), entry)
+    to.write("report.html", page.encode())
+    to.write("report.json", as_json(entry))
 
 
 def write_functions(folder: str | Path, **settings: Any) -> Path:
@@ -138,14 +142,13 @@ def write_functions(folder: str | Path, **settings: Any) -> Path:
 
     made = [benchmark_table(**{"seeds": SEEDS, "shift": shift} | settings).assign(shift=shift) for shift in (0.0, 0.3)]
     path = Path(folder) / "functions.csv"
-    write_atomic(path, pd.concat(made).to_csv(index=False, float_format="%.6g").encode())
+    write_atomic(path, csv_text(pd.concat(made), float_format="%.6g").encode())
     return path
 
 
 def _functions(path: Path) -> list[str]:
-    import pandas as pd
 
-    table = pd.read_csv(path)
+    table = read_csv(path)
     wide = table.pivot(index=["function", "shift"], columns="algorithm", values="median").reset_index()
     order = list(dict.fromkeys(table["algorithm"]))
     return [
@@ -157,13 +160,12 @@ def _functions(path: Path) -> list[str]:
 
 
 def _speed(path: Path) -> list[str]:
-    import pandas as pd
 
     return [
         "## What an evaluation costs\n",
         "Both filter runs of it, in s. ``busiest_thread_s`` is processor time: the wall time of a machine with nothing else to do. The last two"
         f" columns come from it; ``table_h`` is the paper's whole table of {TABLE_EVALUATIONS} evaluations, in hours.\n",
-        markdown(pd.read_csv(path)),
+        markdown(read_csv(path)),
     ]
 
 
@@ -186,14 +188,14 @@ def several_studies(studies: Sequence[Study]) -> pd.DataFrame:
     return table[[*front, *(c for c in table.columns if c not in front)]]
 
 
-def _several(study: Study, others: Sequence[Path], target: Path, figures: bool) -> list[str]:
+def _several(study: Study, others: Sequence[Path], to: _Target, figures: bool) -> list[str]:
     """The held-out table over several studies, and its figure."""
     studies = [study, *(Study(folder) for folder in others)]
     for other in studies[1:]:
         if other.config.test_runs != study.config.test_runs:
             raise InputError(f"{other.folder}: was scored on other unseen runs than {study.folder}")
     table = several_studies(studies)
-    write_atomic(target / "heldout-all.csv", table.to_csv(index=False, float_format="%.6g").encode())
+    to.write("heldout-all.csv", csv_text(table, float_format="%.6g").encode())
     text = [
         "## Studies with other boxes and other training flights, on the same unseen runs\n",
         "``train`` is the mean over the flights of that study. In each study the best by ``test`` stands first.\n",
@@ -202,7 +204,7 @@ def _several(study: Study, others: Sequence[Path], target: Path, figures: bool) 
     if figures:
         from testbed.tuning import plots
 
-        plots.heldout(table, target / "heldout.png")
+        to.draw("heldout.png", partial(plots.heldout, table))
         text.append("![improvement over the data sheet on unseen runs](heldout.png)\n")
     return text
 
@@ -254,7 +256,7 @@ def _what_was_run(study: Study) -> str:
 
 @dataclass(frozen=True)
 class Claim:
-    """What a paper says, what was found (a verdict of `testbed.claims`, or a longer one that begins like it), and why."""
+    """What a paper says, what was found (a verdict of `testbed.scoring.verdicts`, or a longer one that begins like it), and why."""
 
     text: str
     verdict: str
@@ -341,17 +343,17 @@ def _rows_of(table: pd.DataFrame, quantities: tuple[str, ...]) -> pd.DataFrame:
     return table[table["quantity"].isin(quantities)]
 
 
-def _figures(study: Study, target: Path) -> list[str]:
+def _figures(study: Study, to: _Target) -> list[str]:
     from testbed.tuning import plots
 
     space = scenario_space(study.scenario, study.config)
     base = float(study.heldout.set_index("row").loc[DATA_SHEET, "train"])
-    plots.convergence(study.history, study.searches, target / "convergence.png", base)
-    plots.variables(study.searches, space.names, *space.bounds, target / "variables.png")
+    to.draw("convergence.png", lambda path: plots.convergence(study.history, study.searches, path, base))
+    to.draw("variables.png", lambda path: plots.variables(study.searches, space.names, *space.bounds, path))
     own = study.searches[study.searches["kind"] == "objective"]
     best = own.loc[own["best"].idxmin(), "search"]
-    entry = tuned_entry(study.scenario, study.config)
-    candidates = {DATA_SHEET: dict(entry.params), best: read_toml(study.folder / "best" / f"{best}.toml")["params"]}
+    entry, listed = tuned_entry(study.scenario, study.config), Folder(study.folder, study.manifest)
+    candidates = {DATA_SHEET: dict(entry.params), best: read_toml(listed.check(f"best/{best}.toml"))["params"]}
     texts = [
         "## Figures\n",
         "![convergence](convergence.png)\n",
@@ -359,7 +361,7 @@ def _figures(study: Study, target: Path) -> list[str]:
     ]
     for recording in record(study.scenario, study.config, study.config.train_runs[:1]):
         name = f"best-{recording.case}.png"
-        plots.best_flight(entry.name, candidates, recording, target / name)
+        to.draw(name, partial(plots.best_flight, entry.name, candidates, recording))
         texts.append(f"![errors of the best candidate, {recording.case}]({name})\n")
     return texts
 

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.registry import estimator_class, make_estimator
+from testbed.errors import InputError
+from testbed.files import write_atomic
+from testbed.registry import estimator_class, fast_path, make_estimator
 from testbed.scenario import Scenario
-from testbed.store import write_atomic
 from testbed.tuning.config import tune_config, tuned_entry
 from testbed.tuning.objective import Objective, Task, record, scenario_space
 
@@ -42,8 +43,10 @@ def measure(scenario: Scenario, tries: int = 5) -> pd.DataFrame:
     entry = tuned_entry(scenario, config)
     arguments = (entry.name, entry.params, scenario_space(scenario, config), recordings, config.metrics)
     objectives = {n: _Clocked(*arguments, stride=config.stride, jobs=n) for n in threads}
-    kind: Any = estimator_class(entry.name)
-    searchers = [kind.searcher(r.log, r.trajectory, config.stride) for r in recordings]
+    make_searcher = fast_path(estimator_class(entry.name), "searcher")
+    if make_searcher is None:
+        raise InputError(f"{scenario.source_path}: '{entry.row}' has no fast path whose speed could be measured")
+    searchers = [make_searcher(r.log, r.trajectory, config.stride) for r in recordings]
     x = np.random.default_rng(0).uniform(-1.0, 1.0, (config.population, len(objectives[1].space.names)))
     side, decode = min(searchers[0].batch_size, len(x)), objectives[1].space.decode
     made = [make_estimator(entry.name, **(entry.params | decode(row))) for row in x]

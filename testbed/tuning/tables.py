@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed import statistics
+from testbed.csv_text import csv_text
+from testbed.folders import Folder
 from testbed.records import Array
 from testbed.scenario import Scenario
 from testbed.schema import read_toml
+from testbed.scoring.effects import effect
 from testbed.scoring.quantities import MAIN, NIS
-from testbed.store import write_atomic
 from testbed.tuning.config import RMSE_METRICS, TuneConfig, tuned_entry
 from testbed.tuning.history import per_iteration, read_evaluations
 from testbed.tuning.objective import DEVIANCE, Recording, full_score, record, scenario_space
@@ -31,7 +31,7 @@ KEPT_METRICS = [*RMSE_METRICS, *(f"rmse_{name}" for name in MAIN[:2]), "nees_att
 
 
 def write_tables(
-    folder: Path, scenario: Scenario, config: TuneConfig, tasks: Sequence[Task], seen: Sequence[Recording]
+    folder: Folder, scenario: Scenario, config: TuneConfig, tasks: Sequence[Task], seen: Sequence[Recording]
 ) -> None:
     """``searches.csv, history.csv, timings.csv, scores.csv, heldout.csv`` of a complete study."""
     import pandas as pd
@@ -40,7 +40,7 @@ def write_tables(
     searches, histories, timings = [], [], []
     earlier: dict[Task, Array] = {}
     for task in tasks:
-        x, f, seconds = read_evaluations(folder / "evaluations" / f"{task.name}.parquet", names)
+        x, f, seconds = read_evaluations(folder.out / "evaluations" / f"{task.name}.parquet", names)
         family = replace(task, iterations=0)
         shared = common_start(x, earlier.get(family, x[:0]))
         earlier[family] = x
@@ -59,11 +59,12 @@ def write_tables(
         histories.append(per_iteration(f, config.population).assign(search=task.name))
         timings.append({"search": task.name, "seconds": seconds.sum(), "seconds_per_evaluation": seconds.mean()})
     scores = _scores(folder, scenario, config, tasks, seen)
-    _write_csv(pd.DataFrame(searches), folder / "searches.csv")
-    _write_csv(pd.concat(histories), folder / "history.csv")
-    _write_csv(pd.DataFrame(timings), folder / "timings.csv")
-    _write_csv(scores, folder / "scores.csv")
-    _write_csv(heldout(scores, config), folder / "heldout.csv")
+    made = {"searches": pd.DataFrame(searches), "history": pd.concat(histories), "timings": pd.DataFrame(timings)}
+    made |= {"scores": scores, "heldout": heldout(scores, config)}
+    texts = {f"{name}.csv": csv_text(table, float_format="%.10g") for name, table in made.items()}
+    folder.claim(texts)
+    for name, text in texts.items():
+        folder.write(name, text.encode())
 
 
 def common_start(x: Array, other: Array) -> int:
@@ -74,7 +75,7 @@ def common_start(x: Array, other: Array) -> int:
 
 
 def _scores(
-    folder: Path, scenario: Scenario, config: TuneConfig, tasks: Sequence[Task], seen: Sequence[Recording]
+    folder: Folder, scenario: Scenario, config: TuneConfig, tasks: Sequence[Task], seen: Sequence[Recording]
 ) -> pd.DataFrame:
     """Columns row, case, run, set (train, test), metric, value; a recording is made once and forgotten."""
     import pandas as pd
@@ -84,7 +85,7 @@ def _scores(
     entry = tuned_entry(scenario, config)
     candidates: dict[str, dict[str, Any]] = {DATA_SHEET: dict(entry.params)}
     for task in tasks:
-        candidates[task.name] = read_toml(folder / "best" / f"{task.name}.toml")["params"]
+        candidates[task.name] = read_toml(folder.check(f"best/{task.name}.toml"))["params"]
     rows: list[tuple[Any, ...]] = []
 
     def take(recording: Recording, which: str) -> None:
@@ -142,7 +143,7 @@ def heldout(scores: pd.DataFrame, config: TuneConfig) -> pd.DataFrame:
         if not sums["test"].empty:
             own, base = (sums["test"].loc[name].to_numpy() for name in (row, DATA_SHEET))
             entry |= {"test": own.mean(), "diverged": int((~np.isfinite(own)).sum())}
-            gain = statistics.improvement(own, base) if row != DATA_SHEET else None
+            gain = effect(own, base) if row != DATA_SHEET else None
             if gain is not None:
                 entry |= {
                     "improvement_pct": gain.percent,
@@ -201,7 +202,3 @@ def rank_sums(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(
         {"rank_sum": ranks.sum(), "rows": len(counted), "place": ranks.sum().rank(method="min").astype(int)}
     )
-
-
-def _write_csv(table: pd.DataFrame, path: Path) -> None:
-    write_atomic(path, table.to_csv(index=False, float_format="%.10g").encode())

@@ -18,13 +18,15 @@ from typing import Any
 
 import numpy as np
 
+from testbed import folders
+from testbed.checksums import DamagedError
 from testbed.errors import InputError, TestbedError, nearest
+from testbed.folders import Folder, check_own
 from testbed.registry import load_plugin
 from testbed.scenario import Scenario
 from testbed.schema import dump_toml
-from testbed.store import write_atomic, write_json
 from testbed.tuning.config import TuneConfig, tune_config, tuned_entry
-from testbed.tuning.history import History
+from testbed.tuning.history import AGAIN, History
 from testbed.tuning.objective import Objective, make_objective, record, scenario_space
 from testbed.tuning.search import ONE_BY_ONE, make_search
 
@@ -101,23 +103,24 @@ def tune(
         if only not in names:
             raise InputError(f"--only {only}: no such search; {nearest(only, names)}")
         tasks = [task for task in tasks if task.name == only]
-    folder = _open(Path(out), scenario, config, resume or only is not None)
     jobs = jobs or os.cpu_count() or 1
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
-    recordings = record(scenario, config, config.train_runs)
     meter = _Meter(sum(task.iterations for task in tasks) * config.population, progress)
-    for likelihood in (False, True):
-        chosen = [task for task in tasks if task.likelihood == likelihood]
-        if chosen:
-            with make_objective(scenario, config, recordings, likelihood, jobs, plugins) as objective:
-                for group in _abreast(chosen):
-                    _search(group, config, objective, folder, deadline, meter)
-    if only is None:
-        from testbed.tuning.tables import write_tables
+    with _open(Path(out), scenario, config, resume or only is not None) as folder:
+        folder.claim([f"evaluations/{task.name}.parquet" for task in tasks])
+        recordings = record(scenario, config, config.train_runs)
+        for likelihood in (False, True):
+            chosen = [task for task in tasks if task.likelihood == likelihood]
+            if chosen:
+                with make_objective(scenario, config, recordings, likelihood, jobs, plugins) as objective:
+                    for group in _abreast(chosen):
+                        _search(group, config, objective, folder, deadline, meter)
+        if only is None:
+            from testbed.tuning.tables import write_tables
 
-        write_tables(folder, scenario, config, tasks, recordings)
-        _manifest(folder, scenario, config, finished=True)
-    return folder
+            write_tables(folder, scenario, config, tasks, recordings)
+            _manifest(folder, scenario, config, finished=True)
+    return folder.out
 
 
 def _abreast(tasks: Sequence[Task]) -> Iterator[list[Task]]:
@@ -131,13 +134,14 @@ def _abreast(tasks: Sequence[Task]) -> Iterator[list[Task]]:
 class _Course:
     """One running search, with what it has evaluated so far."""
 
-    def __init__(self, task: Task, config: TuneConfig, objective: Objective, folder: Path) -> None:
+    def __init__(self, task: Task, config: TuneConfig, objective: Objective, folder: Folder) -> None:
         self.task, self._folder, self._objective, self._config = task, folder, objective, config
-        path = folder / "evaluations" / f"{task.name}.parquet"
+        path = folder.out / "evaluations" / f"{task.name}.parquet"
         others = sorted(
             set(path.parent.glob(replace(task, iterations=0).name.replace("0000", "*") + ".parquet")) - {path}
         )
-        self.history = History(path, objective.space.names, relatives=others)
+        study = folder.manifest["identity"]
+        self.history = History(path, objective.space.names, relatives=others, study=study)
         _unchanged(self.history, objective)
         settings = config.settings.get(task.algorithm)
         bounds = objective.space.bounds
@@ -167,12 +171,18 @@ class _Course:
     def _finish(self, meter: _Meter) -> None:
         task = self.task
         x, f, _ = self.history.all()
+        if len(f) > 1 and (f == f[0]).all():
+            why = "all diverge" if f[0] >= self._config.penalty else "the filter takes no notice of what is searched"
+            raise InputError(
+                f"{self.history.path}: the objective is {f[0]:.6g} for each of {len(f)} candidates ({why}: "
+                f"{', '.join(self.history.names)}), so none is best; tune other parameters or another estimator"
+            )
         meter.skip(task.iterations * self._config.population - len(f))
         best = int(f.argmin())
         what = "-2 log likelihood per fix" if task.likelihood else "objective"
         header = f"# Best of {len(f)} evaluations by {task.name}: {what} {f[best]:.6g}\n"
         content = (header + parameter_file(self._objective, x[best])).encode()
-        write_atomic(self._folder / "best" / f"{task.name}.toml", content)
+        self._folder.write_all({f"best/{task.name}.toml": content})
 
     def close(self) -> None:
         """Store what there is."""
@@ -181,7 +191,12 @@ class _Course:
 
 
 def _search(
-    tasks: Sequence[Task], config: TuneConfig, objective: Objective, folder: Path, deadline: float | None, meter: _Meter
+    tasks: Sequence[Task],
+    config: TuneConfig,
+    objective: Objective,
+    folder: Folder,
+    deadline: float | None,
+    meter: _Meter,
 ) -> None:
     """Run or complete searches side by side: a round evaluates what all of them ask for."""
     courses: list[_Course] = []
@@ -192,7 +207,7 @@ def _search(
             courses[-1].replay(meter)
         while running := [course for course in courses if not course.done]:
             if deadline is not None and time.monotonic() > deadline:
-                raise Stopped(f"{folder}: time is up in {names}; the same command with --resume goes on")
+                raise Stopped(f"{folder.out}: time is up in {names}; the same command with --resume goes on")
             asked = [course.search.ask() for course in running]
             start = time.perf_counter()
             f = objective(np.concatenate(asked))
@@ -205,7 +220,7 @@ def _search(
             for course in running:
                 course.replay(meter)
     except KeyboardInterrupt:
-        raise Stopped(f"{folder}: stopped in {names}; the same command with --resume goes on") from None
+        raise Stopped(f"{folder.out}: stopped in {names}; the same command with --resume goes on") from None
     finally:
         for course in courses:
             course.close()
@@ -275,24 +290,32 @@ class _Meter:
         self.total -= count
 
 
-def _open(out: Path, scenario: Scenario, config: TuneConfig, resume: bool) -> Path:
-    """Make or reopen the folder."""
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file, not a folder for results")
-    previous = read_manifest(out)
+def _open(out: Path, scenario: Scenario, config: TuneConfig, resume: bool) -> Folder:
+    """Make or reopen the folder, to be closed."""
+    previous = check_own(out, KIND)
     if previous is None:
-        if out.is_dir() and any(out.iterdir()):
-            raise InputError(f"{out}: is not empty and holds no tuning study; give another --out")
-    elif previous["identity"] != identity(scenario, config):
+        pass
+    elif previous.get("identity") != identity(scenario, config):
         if resume or any((out / "evaluations").glob("*.parquet")):
             raise InputError(f"{out}: holds a study of another scenario, space or objective; give another --out")
     elif not resume and any((out / "evaluations").glob("*.parquet")):
         raise InputError(
             f"{out}: already holds this study; complete it with --resume, delete the folder, or give another --out"
         )
-    _manifest(out, scenario, config, finished=False)
-    write_atomic(out / "scenario.toml", scenario.to_toml().encode())
-    return out
+    folder = _Study.open(out, KIND)
+    try:
+        _manifest(folder, scenario, config, finished=False)
+        folder.write_all({"scenario.toml": scenario.to_toml().encode()})
+    except BaseException:
+        folder.close()
+        raise
+    return folder
+
+
+class _Study(Folder):
+    """The folder of a study, which can be resumed."""
+
+    again = AGAIN
 
 
 def identity(scenario: Scenario, config: TuneConfig) -> str:
@@ -307,35 +330,31 @@ def identity(scenario: Scenario, config: TuneConfig) -> str:
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """The manifest of a study, or None where the folder is none."""
-    try:
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return manifest if isinstance(manifest, dict) and manifest.get("kind") == KIND else None
+    """The manifest of a study, or None where the folder is none. Raises DamagedError for a damaged one."""
+    manifest = folders.read_manifest(folder, KIND)
+    if manifest is not None and not {"identity", "finished", "tune"} <= set(manifest):
+        raise DamagedError(f"{folder / folders.MANIFEST}: damaged (it lacks what testbed tune writes)")
+    return manifest
 
 
-def _manifest(folder: Path, scenario: Scenario, config: TuneConfig, finished: bool) -> None:
+def _manifest(folder: Folder, scenario: Scenario, config: TuneConfig, finished: bool) -> None:
     import testbed
     from testbed.runner import git_revision
 
-    write_json(
-        folder / "manifest.json",
-        {
-            "kind": KIND,
-            "identity": identity(scenario, config),
-            "finished": finished,
-            "scenario": scenario.name,
-            "title": scenario.scenario.title,
-            "variant": scenario.variant,
-            "profile": scenario.profile,
-            "estimator": tuned_entry(scenario, config).row,
-            "space": scenario_space(scenario, config).names,
-            "tune": config.model_dump(mode="json"),
-            "cores": os.cpu_count(),
-            "testbed": testbed.__version__,
-            "git": git_revision(),
-        },
+    folder.save(
+        kind=KIND,
+        identity=identity(scenario, config),
+        finished=finished,
+        scenario=scenario.name,
+        title=scenario.scenario.title,
+        variant=scenario.variant,
+        profile=scenario.profile,
+        estimator=tuned_entry(scenario, config).row,
+        space=scenario_space(scenario, config).names,
+        tune=config.model_dump(mode="json"),
+        cores=os.cpu_count(),
+        testbed=testbed.__version__,
+        git=git_revision(),
     )
 
 
@@ -347,12 +366,13 @@ def conclude(scenario: Scenario, out: str | Path, config: TuneConfig | None = No
     from testbed.tuning.tables import write_tables
 
     config = config or tune_config(scenario)
-    folder, previous = Path(out), read_manifest(Path(out))
+    place, previous = Path(out), read_manifest(Path(out))
     if previous is None or previous["identity"] != identity(scenario, config):
-        raise InputError(f"{folder}: holds no study of this scenario, space and objective")
-    tasks = [task for task in tasks_of(config) if (folder / "best" / f"{task.name}.toml").is_file()]
+        raise InputError(f"{place}: holds no study of this scenario, space and objective")
+    tasks = [task for task in tasks_of(config) if (place / "best" / f"{task.name}.toml").is_file()]
     if not tasks:
-        raise InputError(f"{folder}: no search is complete; go on with testbed tune ... --resume")
-    write_tables(folder, scenario, config, tasks, record(scenario, config, config.train_runs))
-    _manifest(folder, scenario, config, finished=True)
-    return folder
+        raise InputError(f"{place}: no search is complete; go on with testbed tune ... --resume")
+    with _Study.open(place, KIND) as folder:
+        write_tables(folder, scenario, config, tasks, record(scenario, config, config.train_runs))
+        _manifest(folder, scenario, config, finished=True)
+    return place

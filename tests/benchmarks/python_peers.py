@@ -69,13 +69,13 @@ def filterpy_ukf(log: SensorLog, samples: int) -> np.ndarray:
     from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
 
     from estimators.direct_ukf import DirectUkf
-    from estimators.motion_models import ACCELERATED, add_process_noise, advance, transition
+    from estimators.motion_models import Step, add_process_noise, advance, transition
 
     task = DirectUkf().problem(log)
-    out, corrections, held = np.empty(15), np.zeros(6), np.zeros(3)
+    out, corrections, inputs = np.empty(15), np.zeros(6), task.inputs
 
     def move(x: Any, dt: float, imu: Any) -> Any:
-        advance(ACCELERATED, x, imu, corrections, dt, task.setting, held, out)
+        advance(task.motion, x, Step(imu, corrections, dt), out)
         return out.copy()
 
     filter_ = UnscentedKalmanFilter(15, 6, float(np.diff(task.t[:2])[0]), lambda x: x[:6], move, JulierSigmaPoints(15))
@@ -84,12 +84,12 @@ def filterpy_ukf(log: SensorLog, samples: int) -> np.ndarray:
     states, phi, now, g = np.empty((samples, 15)), np.zeros((15, 15)), task.start, 0
     for k in range(samples):
         dt = task.t[k] - now
-        transition(ACCELERATED, filter_.x, task.imu[k], dt, task.setting, phi)
+        transition(task.motion, filter_.x, Step(inputs.imu[k], corrections, dt), phi)
         filter_.Q[:] = 0.0
-        add_process_noise(filter_.Q, phi, task.noise, dt)
-        filter_.predict(dt=dt, imu=task.imu[k])
+        add_process_noise(filter_.Q, phi, task.motion.noise, dt)
+        filter_.predict(dt=dt, imu=inputs.imu[k])
         if g < len(task.gnss_t) and task.gnss_t[g] <= task.t[k] + 1e-9:
-            filter_.update(task.gnss_z[g], R=np.diag(task.gnss_r[g]))
+            filter_.update(inputs.z[g], R=np.diag(inputs.r[g]))
             g += 1
         states[k], now = filter_.x, task.t[k]
     return states

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from estimators.kalman import update
-from estimators.ukf_kernels import sigma_points, unscented_moments, unscented_weights
+from estimators.core.update import update
+from estimators.ukf_kernels import sigma_points, unscented_moments
 
 
 @njit(cache=True)
@@ -14,11 +14,11 @@ def updates(n, measurements, count):
     """Updates of n states with so many direct measurements; returns the covariance."""
     x, p, h = np.zeros(n), np.eye(n), np.zeros((measurements, n))
     residual, r = np.zeros(measurements), np.ones(measurements)
-    covariance, scratch = np.empty((measurements, measurements)), np.empty((measurements + 4, n))
+    scratch = np.empty((4, n))
     for a in range(measurements):
         h[a, a] = 1.0
     for _ in range(count):
-        update(x, p, residual, h, r, covariance, scratch)
+        update(x, p, residual, h, r, scratch)
     return p
 
 
@@ -27,8 +27,8 @@ def unscented_transforms(n, count):
     """Sigma points of n states and their moments; returns the covariance."""
     x, p = np.zeros(n), np.eye(n)
     mean, out, factor, points = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((2 * n + 1, n))
-    spread, weights = unscented_weights(n, 1.0, 0.0, 0.0)
+    width, weights = np.sqrt(n), (0.0, 0.0, 0.5 / n)
     for _ in range(count):
-        sigma_points(x, p, spread, factor, points)
+        sigma_points(x, p, width, factor, points)
         unscented_moments(points, weights, 0, 0, mean, out)
     return out

@@ -15,8 +15,9 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 pytest.importorskip("pytest_benchmark")
 
-from testbed import metrics, statistics, store, units
+from testbed import metrics, store, units
 from testbed.records import STATE_NAMES, NavSolution, Trajectory
+from testbed.scoring import effects, statistics
 from testbed.windows import Window
 
 SAMPLES = 15_000
@@ -92,7 +93,7 @@ def test_describe_1000_runs_of_500_cells(benchmark):
 
 def test_paired_improvement_of_1000_runs(benchmark):
     a, b = np.random.default_rng(3).gamma(4.0, size=(2, 1000))
-    benchmark(statistics.improvement, a, b)
+    benchmark(effects.effect, a, b)
 
 
 @pytest.mark.parametrize("what", ["unit", "estimators"])

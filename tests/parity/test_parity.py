@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from parity_cases import (
     AHRS,
-    LEARNED_TOLERANCE,
     NO_BIASES,
     PLANS,
     SEARCHED,
@@ -54,8 +53,8 @@ def test_answers(recorded):
     plan, log, stored = recorded
     for case in cases(plan):
         apart, where = worst(stored[case.label], figures(case, answer(case, log)))
-        allowed = LEARNED_TOLERANCE if case.learned else TOLERANCE
-        assert apart <= allowed, f"{plan.name}, {case.label}, {where}: {apart:.2g} of its scale, allowed {allowed:g}"
+        told = f"{plan.name}, {case.label}, {where}: {apart:.2g} of its scale, allowed {case.tolerance:g}"
+        assert apart <= case.tolerance, told
 
 
 def test_scores_of_candidates(recorded):

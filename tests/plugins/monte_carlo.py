@@ -171,3 +171,38 @@ class Interrupted:
             except KeyboardInterrupt as pressed:
                 raise SystemError("returned a result with an exception set") from pressed
         return _truth_plus(log, "interrupted", 1.0)
+
+
+@dataclass(frozen=True)
+class Still:
+    """The same error in every run, as on a recording."""
+
+    north_m: float = 1.0
+    name = "still"
+
+    def run(self, log):
+        truth = synthetic_flight()
+        k, n = slice(1, None), len(truth.t) - 1
+        shift = self.north_m / earth.metres_per_radian(truth.lat, truth.h)[0]
+        return NavSolution(
+            truth.t[k],
+            (truth.lat + shift)[k],
+            truth.lon[k],
+            truth.h[k],
+            truth.v_n[k],
+            truth.q_nb[k],
+            *(np.zeros((2, n, 3))),
+        )
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Noise that is that of run 4 from there on."""
+
+    sigma_m: float = 1.0
+    name = "repeats"
+
+    def run(self, log):
+        seed, run = map(int, log.name.split())
+        same = SensorLog(log.imu, log.initial, log.gnss, name=f"{seed} {min(run, 4)}")
+        return _truth_plus(same, f"repeats {self.sigma_m}", self.sigma_m)

@@ -1,4 +1,4 @@
-"""Statistics over Monte Carlo runs: intervals, paired comparisons, consistency bounds, error envelopes.
+"""Statistics over Monte Carlo runs: intervals, tests of means, consistency bounds, error envelopes.
 
 Bootstrap: Efron & Tibshirani, *An Introduction to the Bootstrap*, with the percentiles expanded for small samples as in
 Hesterberg, *What Teachers Should Know About the Bootstrap*, The American Statistician 69 (2015), 4.2. Chi-square bounds:
@@ -8,10 +8,10 @@ Bar-Shalom, Li & Kirubarajan, 5.4.2. Rows are runs, columns are cells (estimator
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
-from scipy.special import chdtri, ndtr, stdtrit
-from scipy.stats import wilcoxon
+from scipy.special import chdtri, ndtr, stdtr, stdtrit
 
 from testbed.records import Array
 from testbed.streams import stream
@@ -22,19 +22,11 @@ LEVEL = 0.95
 _BLOCK_BYTES = 4_000_000
 
 
-@dataclass(frozen=True)
-class Improvement:
-    """How much lower ``a`` is than ``b``, in per cent of ``b``, with its interval and a Wilcoxon signed-rank p-value."""
-
-    percent: float
-    low: float
-    high: float
-    p_value: float
-    n: int
-
-
 def describe(values: Array, seed: int = 0) -> dict[str, Array]:
-    """(runs, cells) to ``n, mean, std, median, p05, p95, ci_low, ci_high`` per cell; the interval is of the mean."""
+    """(runs, cells) to ``n, mean, std, median, p05, p95, ci_low, ci_high`` per cell; the interval is of the mean.
+
+    A cell that is the same in all runs has no interval: nothing varied that it depends on.
+    """
     finite = np.isfinite(values)
     n = finite.sum(axis=0)
     clean = np.where(finite, values, np.nan)
@@ -48,13 +40,16 @@ def describe(values: Array, seed: int = 0) -> dict[str, Array]:
         out["p05"][some], out["median"][some], out["p95"][some] = _quantiles(part, (0.05, 0.5, 0.95))
         several = n > 1
         out["std"][several] = np.nanstd(clean[:, several], axis=0, ddof=1)
-        out["ci_low"][several], out["ci_high"][several] = mean_intervals(clean[:, several], seed)
+        spread = several.copy()
+        spread[some] &= np.nanmax(part, axis=0) > np.nanmin(part, axis=0)
+        if spread.any():
+            out["ci_low"][spread], out["ci_high"][spread] = mean_intervals(clean[:, spread], seed)
     return {"n": n} | out
 
 
 def mean_intervals(values: Array, seed: int = 0) -> tuple[Array, Array]:
     """95 % bootstrap interval of each column's mean; every column has at least two finite values."""
-    return _expanded(bootstrap_means(values, seed), np.isfinite(values).sum(axis=0))
+    return expanded(bootstrap_means(values, seed), np.isfinite(values).sum(axis=0))
 
 
 def bootstrap_means(values: Array, seed: int = 0) -> Array:
@@ -75,28 +70,25 @@ def bootstrap_means(values: Array, seed: int = 0) -> Array:
     return out
 
 
-def improvement(a: Array, b: Array, seed: int = 0) -> Improvement | None:
-    """Paired improvement ``100 (1 - mean a / mean b)`` over the runs that both have; None where there is none.
-
-    With a single run the interval is NaN.
-    """
-    both = np.isfinite(a) & np.isfinite(b)
-    a, b = a[both], b[both]
-    n = len(a)
-    if n == 0 or b.mean() == 0.0:
-        return None
-    percent = float(100.0 * (1.0 - a.mean() / b.mean()))
-    if n < 2:
-        return Improvement(percent, np.nan, np.nan, np.nan, n)
-    means = bootstrap_means(np.column_stack([a, b]), seed)
-    low, high = _expanded(100.0 * (1.0 - means[:, :1] / means[:, 1:]), np.array([n]))
-    return Improvement(percent, float(low[0]), float(high[0]), signed_rank(a, b), n)
+def holm(p_values: Array) -> Array:
+    """Holm's step-down adjusted p-values (Holm 1979); NaN stays NaN and does not count."""
+    out = np.full(len(p_values), np.nan)
+    known = np.flatnonzero(np.isfinite(p_values))
+    order = known[np.argsort(p_values[known], kind="stable")]
+    factors = len(order) - np.arange(len(order))
+    out[order] = np.minimum(1.0, np.maximum.accumulate(p_values[order] * factors))
+    return out
 
 
-def signed_rank(a: Array, b: Array) -> float:
-    """Two-sided Wilcoxon signed-rank p-value of paired samples; 1 where they are equal."""
-    difference = a - b
-    return 1.0 if not difference.any() else float(wilcoxon(difference).pvalue)
+def difference_p(a: Array, b: Array, paired: bool) -> float:
+    """Two-sided p-value of equal means: Student's t of the paired differences, or Welch's (1947) of independent samples."""
+    parts = [a - b] if paired else [a, b]
+    variances = np.array([part.var(ddof=1) / len(part) for part in parts])
+    distance, error = abs(a.mean() - b.mean()), float(np.sqrt(variances.sum()))
+    if error == 0.0:  # no scatter to measure by: the chance that the signs, or the labels, fell so
+        return 1.0 if distance == 0.0 else 2.0 / (2.0 ** len(a) if paired else comb(len(a) + len(b), len(a)))
+    dof = variances.sum() ** 2 / sum(v**2 / (len(part) - 1) for v, part in zip(variances, parts, strict=True))
+    return float(2.0 * stdtr(dof, -distance / error))
 
 
 def difference_interval(a: Array, b: Array, paired: bool, seed: int = 0) -> tuple[float, float]:
@@ -105,7 +97,7 @@ def difference_interval(a: Array, b: Array, paired: bool, seed: int = 0) -> tupl
         low, high = mean_intervals((a - b)[:, None], seed)
     else:
         spread = bootstrap_means(a[:, None], seed) - bootstrap_means(b[:, None], seed + 1)
-        low, high = _expanded(spread, np.array([min(len(a), len(b))]))
+        low, high = expanded(spread, np.array([min(len(a), len(b))]))
     return float(low[0]), float(high[0])
 
 
@@ -185,7 +177,7 @@ def _quantiles(values: Array, levels: tuple[float, ...]) -> Array:
     return np.stack([_interpolated(ordered, level * (n - 1)) for level in levels])
 
 
-def _expanded(means: Array, n: Array) -> tuple[Array, Array]:
+def expanded(means: Array, n: Array) -> tuple[Array, Array]:
     """Percentiles of bootstrap means (draws, cells), expanded so that the interval has Student's width for ``n`` runs."""
     ordered = np.sort(means, axis=0)
     drawn = np.isfinite(ordered).sum(axis=0)

@@ -1,0 +1,139 @@
+"""What a JSBSim model may bring along: before JSBSim reads a model, its files are looked through.
+
+A model (JSBSim's XML, reference manual 2.0) may name files to write and sockets to open: ``<output>`` and ``<input>``
+right below ``fdm_config``, or below the root of a file that it includes; inside of flight-control components the same
+words are ordinary signals. A user's model with them is refused; JSBSim's own are copied without them.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+from testbed.errors import InputError, shown
+
+OPENING = ("input", "output")
+"""Elements that open files and sockets where they are direct children of a file's root."""
+MOST_FILES, MOST_BYTES = 200, 20_000_000
+"""An aircraft's folder: the largest of the jsbsim package has 16 files and 46 kB."""
+_DRIVE = re.compile("[A-Za-z]:")
+
+
+class ModelPaths(NamedTuple):
+    """Where JSBSim looks: the folder that holds ``MODEL.xml``, and those of engines and systems."""
+
+    model: Path
+    engines: Path
+    systems: Path
+
+
+def files_of(folder: Path) -> list[Path]:
+    """The files of an aircraft's folder. Raises InputError where it is none: no ``aircraft.toml``, or far too much in it."""
+    try:
+        if not (folder / "aircraft.toml").is_file():
+            raise InputError(f"{folder}: not an aircraft: it has no aircraft.toml")
+        files, size = [], 0
+        for file in folder.rglob("*"):
+            if not file.is_file():
+                continue
+            files.append(file)
+            size += file.stat().st_size
+            if len(files) > MOST_FILES or size > MOST_BYTES:
+                raise InputError(
+                    f"{folder}: not an aircraft's folder: it holds more than {MOST_FILES} files or {MOST_BYTES // 10**6} MB"
+                )
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        raise InputError(f"{shown(str(folder))}: not an aircraft: {getattr(error, 'strerror', error)}") from None
+    return sorted(files)
+
+
+def check_model(folder: Path, model: str) -> None:
+    """Raise InputError for a user's model that is no XML, opens files or sockets, or reaches out of its folder."""
+    home, files = folder.resolve(), files_of(folder)
+    if folder / f"{model}.xml" not in files:
+        raise InputError(f"{folder / 'aircraft.toml'}: 'model.jsbsim': there is no {folder / f'{model}.xml'}")
+    included: set[str] = set()
+    waiting = [file for file in files if file.suffix.lower() == ".xml"]
+    looked: set[Path] = set()
+    while waiting:
+        file = waiting.pop()
+        if file in looked:
+            continue
+        looked.add(file)
+        if not file.resolve().is_relative_to(home):
+            raise InputError(f"{file}: a link that leaves the aircraft's folder")
+        included |= _check_file(file)
+        # JSBSim adds .xml only to a name without an ending: a file of another ending counts once it is included
+        waiting += [file for file in files if file.name in included]
+
+
+def _check_file(file: Path) -> set[str]:
+    """Refuse what `check_model` says in one file; names of the files that it includes."""
+    root = parse(file)
+    for child in root:
+        if child.tag in OPENING:
+            raise InputError(
+                f"{file}: <{child.tag}> below <{root.tag}> would open files or sockets; remove it (flights are saved by testbed fly)"
+            )
+    names = set()
+    for element in root.iter():
+        name = (element.get("file") or "").strip()
+        if not name:
+            continue
+        parts = re.split(r"[/\\]", name)
+        if ".." in parts or not parts[0] or _DRIVE.match(name):
+            raise InputError(f"{file}: <{element.tag} file={shown(name)}> leaves the aircraft's folder")
+        names.add(parts[-1])
+    return names
+
+
+def parse(file: Path) -> ElementTree.Element:
+    """The root of an XML file. Raises InputError for what is no XML, or declares a document type (entities that explode)."""
+    builder = ElementTree.TreeBuilder()
+    parser = expat.ParserCreate()
+
+    def refuse(*_: object) -> None:
+        raise InputError(f"{file}: it declares a document type (<!DOCTYPE ...>), which no model needs; remove it")
+
+    parser.StartDoctypeDeclHandler = refuse
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    try:
+        parser.Parse(file.read_bytes(), True)
+        root: ElementTree.Element = builder.close()
+    except expat.ExpatError as error:
+        raise InputError(f"{file}: not valid XML: {error}") from None
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror})") from None
+    return root
+
+
+@contextmanager
+def clean_copy(model: str) -> Iterator[ModelPaths]:
+    """A temporary copy of a model of the jsbsim package without what opens files and sockets; engines stay where they are."""
+    package = importlib.util.find_spec("jsbsim")
+    assert package is not None and package.origin is not None
+    shipped = Path(package.origin).parent
+    source = shipped / "aircraft" / model
+    if not (source / f"{model}.xml").is_file():
+        raise InputError(f"JSBSim has no model '{model}'")
+    with tempfile.TemporaryDirectory(prefix="testbed-model-") as place:
+        copy = Path(place) / model
+        shutil.copytree(source, copy)
+        for file in copy.rglob("*.xml"):
+            root = parse(file)
+            unwanted = [child for child in root if child.tag in OPENING]
+            for child in unwanted:
+                root.remove(child)
+            if unwanted:
+                file.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+        yield ModelPaths(copy, shipped / "engine", shipped / "systems")
