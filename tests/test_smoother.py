@@ -89,12 +89,13 @@ def linear_phi(model, motion, dt):
     return np.vstack([rows.reshape(9, 16)[:, :15], np.hstack([np.zeros((6, 9)), np.diag(model.coupling.keep)])])
 
 
-def turned(invariant, place, v):
-    """G (15,15): what the errors become where a correction moved position and velocity (see `retract`)."""
+def turned(invariant, change):
+    """G (15,15): what the errors become where a correction ``change`` moved the state (see `retract`)."""
     g = np.eye(15)
-    for first, change in ((3, v), (0, place if invariant else np.zeros(3))):
+    place, turn = (change[:3], -0.5 * change[6:9]) if invariant else (np.zeros(3), np.zeros(3))
+    for first, gained in ((0, place), (3, change[3:6]), (6, turn)):
         for j in range(3):
-            g[first : first + 3, 6 + j] = np.cross(np.eye(3)[j], change)
+            g[first : first + 3, 6 + j] += np.cross(np.eye(3)[j], gained)
     return g
 
 
@@ -126,7 +127,7 @@ def textbook(estimator, log, numeric):
                 h, fading = model.work.h[:6], recording.fading[e]
                 x = fading * before @ h.T @ np.linalg.solve(recording.innovation_covariance[e], recording.innovation[e])
                 change = difference(model.state, old)
-                nodes.append(("update", before, (x, turned(invariant, change[:3], change[3:6]), fading), p()))
+                nodes.append(("update", before, (x, turned(invariant, change), fading), p()))
             e += 1
         now = end
         record(model, k)
@@ -146,7 +147,7 @@ def textbook(estimator, log, numeric):
             model.state[:], model.work.x[:] = what, delta
             retract(model)  # for the exponential of the invariant error
             change = difference(model.state, what)
-            g = turned(invariant, change[:3], change[3:6])
+            g = turned(invariant, change)
             states.append(model.state.copy())
             covariances.append(g @ covariance @ g.T)
     return np.array(states[::-1]), np.array(covariances[::-1])

@@ -23,6 +23,7 @@ from estimators.core.propagate import (
     Scratch,
     add_noise,
     propagate,
+    turn_attitude_errors,
     turn_position_errors,
     turn_velocity_errors,
 )
@@ -377,7 +378,9 @@ def retract(model):
     Held fixed over the correction, it lets dv gain phi x (change of v). `PHI` stops there. `INVARIANT` takes the whole
     right-invariant error of SE2(3): position errors likewise gain phi x (change of position), and the correction is the
     group's exponential, so that turning the attitude turns the velocity with it. Its coordinates are those of `PHI` times
-    a matrix that follows the trajectory, so propagation and H need no second form.
+    a matrix that follows the trajectory, so propagation and H need no second form. Once a correction x is made, an
+    attitude error x + p has become p + x x p / 2 (Sola, arXiv:1711.02508, eq. 287). Without that turn P ties attitude to
+    misalignments along axes that have moved, and takes their common rotation, which nothing can observe, for known.
     """
     state, x = model.state, model.work.x
     n = model.work.h.shape[1]
@@ -397,6 +400,8 @@ def retract(model):
     if model.error == INVARIANT:
         turn_position_errors(model.p, n, place)
     turn_velocity_errors(model.p, n, v)
+    if model.error == INVARIANT:
+        turn_attitude_errors(model.p, n, scaled(turn, -0.5))
     put_triple(x, 0, place)
     put_triple(x, 3, v)
 

@@ -237,6 +237,12 @@ def turn_position_errors(p, n, change):
     _gain(p, n, 0, change)
 
 
+@njit(cache=True, nogil=True, _nrt=False)
+def turn_attitude_errors(p, n, change):
+    """P, of n states, after the attitude errors have gained phi x ``change`` (rad); numbers or lanes."""
+    _gain(p, n, 6, change)
+
+
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _gain(p, n, first, change):
     """Rows, then columns ``first`` to ``first`` + 2 of P gain phi x ``change``."""

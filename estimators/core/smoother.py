@@ -53,7 +53,7 @@ class Tape(NamedTuple):
     scalars: Array
     """(updates,m,2) innovation and variance of each."""
     change: Array
-    """(updates,6) by which the update moved position (m) and velocity (m/s)."""
+    """(updates,9) by which the errors of position (m), velocity (m/s) and attitude (rad) turned: see `retract`."""
     state: Array
     """(samples,10+k)"""
     p: Array
@@ -130,7 +130,7 @@ def _make_tape(prepared: Prepared, line: Timeline, length: int) -> Tape:
         h=np.zeros((updates, m, n)),
         gain=np.zeros((updates, m, n)),
         scalars=np.zeros((updates, m, 2)),
-        change=np.zeros((updates, 6)),
+        change=np.zeros((updates, 9)),
         state=np.zeros((length, len(prepared.start))),
         p=np.zeros((length, n, n)),
         before=np.zeros((n, n)),
@@ -185,6 +185,8 @@ def _correct(taped, k, e):
     for i in range(6):
         # With `PHI` a correction of the position leaves the coordinates of the error as they are.
         tape.change[place, i] = model.work.x[i] if i >= 3 or model.error == INVARIANT else 0.0
+    for i in range(6, 9):
+        tape.change[place, i] = -0.5 * model.work.x[i] if model.error == INVARIANT else 0.0
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -317,23 +319,23 @@ def _before_scalar(adjoint, h, gain, scalar):
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _before_turn(adjoint, change):
-    """lam = G' lam, info = G' info G, where G lets position and velocity errors gain phi x ``change`` (see `retract`)."""
+    """lam = G' lam, info = G' info G, where G lets the errors gain phi x ``change``, attitude last (see `retract`)."""
     lam, info, n = adjoint.lam, adjoint.info, adjoint.lam.shape[0]
-    place, velocity = (change[0], change[1], change[2]), (change[3], change[4], change[5])
-    _add_turn(lam, place, velocity)
     for i in range(n):
-        _add_turn(info[i], place, velocity)
+        _add_turn(info[i], change)
     for j in range(n):
-        _add_turn(info[:, j], place, velocity)
+        _add_turn(info[:, j], change)
+    _add_turn(lam, change)
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def _add_turn(a, place, velocity):
-    """Attitude's share of an adjoint row gains place x its position's share and velocity x its velocity's share."""
-    by_place = cross(place, (a[0], a[1], a[2]))
-    by_velocity = cross(velocity, (a[3], a[4], a[5]))
+def _add_turn(a, change):
+    """Attitude's share of an adjoint row gains the three turns x the shares of position, velocity and attitude."""
+    by_place = cross((change[0], change[1], change[2]), (a[0], a[1], a[2]))
+    by_velocity = cross((change[3], change[4], change[5]), (a[3], a[4], a[5]))
+    by_attitude = cross((change[6], change[7], change[8]), (a[6], a[7], a[8]))
     for i in range(3):
-        a[6 + i] += by_place[i] + by_velocity[i]
+        a[6 + i] += by_place[i] + by_velocity[i] + by_attitude[i]
 
 
 @njit(cache=True, nogil=True, _nrt=False)
