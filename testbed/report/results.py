@@ -39,7 +39,9 @@ PARQUET_COLUMNS = {
 }
 
 
-TEXT_COLUMNS = ("estimator", "window", "metric", "id", "text", "verdict", "quantity", "baseline", "status", "reason")
+TEXT_COLUMNS = tuple(
+    "estimator window metric id text verdict quantity baseline status reason better than origin runaways".split()
+)
 
 
 def _texts(value: Any) -> bool:
@@ -234,7 +236,7 @@ def _read(store: Store, name: str, columns: str) -> pd.DataFrame:
     def read(path: Path) -> pd.DataFrame:
         frame = read_csv(path, dtype=texts) if path.suffix == ".csv" else pd.read_parquet(path)
         for column in wanted:
-            if column not in texts and column in frame and not pd.api.types.is_numeric_dtype(frame[column]):
+            if column not in texts and column in frame and not _numbers(frame[column]):
                 raise ValueError(f"column '{column}' holds something else than numbers")
         return frame.reindex(columns=[*frame.columns, *(c for c in wanted if c not in frame.columns)])
 
@@ -281,3 +283,8 @@ def _checked(data: dict[str, Any], path: Path, shapes: Mapping[str, Callable[[An
         if not good:
             raise InputError(f"{path}: damaged ('{key}' is not what testbed run writes)")
     return {key: value for key, value in data.items() if key not in shapes or value is not None}
+
+
+def _numbers(column: pd.Series) -> bool:
+    """Whether a column holds numbers, or nothing at all."""
+    return pd.api.types.is_numeric_dtype(column) or bool(column.isna().all())
