@@ -335,7 +335,9 @@ def open_dataset(folder: str | Path) -> tuple[list[Shard], list[Shard]]:
     if content.get("finished") is False:
         raise InputError(f"{folder}: this data set is not finished; complete it with: testbed dataset SCENARIO")
     entries = content.get("flights")
-    if not isinstance(entries, list) or not all(isinstance(e, dict) and {"split", "file"} <= set(e) for e in entries):
+    if not isinstance(entries, list) or not all(
+        isinstance(e, dict) and isinstance(e.get("file"), str) and isinstance(e.get("split"), str) for e in entries
+    ):
         raise InputError(f"{manifest}: damaged, or not of a data set ('flights' does not list them)")
 
     def split(name: str) -> list[Shard]:
