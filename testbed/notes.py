@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from testbed.registry import make_estimator
+from testbed.resources import scenario_root
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -22,8 +24,11 @@ def notes_of(scenario: Scenario) -> list[str]:
 
 
 def _of_flight(scenario: Scenario) -> list[str]:
+    """A shipped scenario says how its flights may be drawn, ready for who sets ``vary``; in a file of one's own that is a slip."""
     settings = scenario.monte_carlo
-    if settings.disperse and "manoeuvres" not in settings.vary:
+    own = Path(scenario.source_path).parent != scenario_root().resolve()
+    own = own or any(key.startswith("monte_carlo.disperse") for key in scenario.settings)
+    if settings.disperse and "manoeuvres" not in settings.vary and own:
         return ["monte_carlo.disperse has no effect: monte_carlo.vary does not name 'manoeuvres'"]
     return []
 

@@ -110,7 +110,7 @@ def read_result(folder):
         result.per_run(["rmse_north_m"], "all"),
         result.truth,
         *result.errors.values(),
-        *result.innovations.values(),
+        *(table for aidings in result.innovations.values() for table in aidings.values()),
     ]
     return [table.to_csv() for table in (*tables, *more)] + shown(result.info, result.scenario, result.manifest)
 

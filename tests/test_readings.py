@@ -198,7 +198,7 @@ def test_readings_touch_nothing_foreign_and_say_what_is_missing(file, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     (out / "mine.txt").write_text("mine")
-    with pytest.raises(InputError, match="holds no readings"):
+    with pytest.raises(InputError, match="holds no testbed readings"):
         made(file, out)
     assert [p.name for p in out.iterdir()] == ["mine.txt"]
     plain = tmp_path / "plain.toml"

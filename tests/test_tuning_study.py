@@ -19,6 +19,7 @@ from testbed import registry
 from testbed.errors import InputError
 from testbed.files import write_json
 from testbed.scenario import Scenario, load_scenario
+from testbed.schema import dump_toml
 from testbed.tuning import tables, tune
 from testbed.tuning.command import tune as tune_command
 from testbed.tuning.config import tune_config
@@ -179,12 +180,11 @@ def test_constant_objective_is_refused(tmp_path, monkeypatch):
 
 def test_parameter_file_gives_the_stored_objective(study, tmp_path):
     """A scenario that names the file runs the tuned filter: its scores add up to what ``scores.csv`` says."""
-    text = (
-        scenario()
-        .to_toml()
-        .replace('name = "indirect-kf"', f'name = "indirect-kf"\nparams_file = "{study}/best/pso-0004-seed1.toml"')
-    )
-    (tmp_path / "tuned.toml").write_text(text)
+    data = scenario().to_data()
+    for entry in data["estimators"]:
+        if entry["name"] == "indirect-kf":
+            entry["params_file"] = f"{study}/best/pso-0004-seed1.toml"
+    (tmp_path / "tuned.toml").write_text(dump_toml(data))
     read = load_scenario(tmp_path / "tuned.toml")
     scale = pd.read_csv(study / "searches.csv").set_index("search").loc["pso-0004-seed1", "gyro_noise_scale"]
     assert read.estimators[0].params["gyro_noise_scale"] == pytest.approx(10.0**scale, rel=1e-8)

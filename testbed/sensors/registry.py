@@ -9,12 +9,12 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import re
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydantic import Field, create_model
 
-import testbed.sensors
 from testbed.schema import Table
 from testbed.sensors import catalog
 from testbed.sensors.config import BaroConfig, GnssConfig, ImuConfig, MagConfig
@@ -26,7 +26,7 @@ _DEFINED = re.compile(rb"^SENSOR\b", re.MULTILINE)
 def _found() -> dict[str, Sensor]:
     """By kind, in the order of their ranks. A module is read before it is imported: most others load compiled code."""
     sensors: list[Sensor] = []
-    for folder in testbed.sensors.__path__:
+    for folder in sys.modules[__package__].__path__:
         for module in pkgutil.iter_modules([folder]):
             if _DEFINED.search((Path(folder) / f"{module.name}.py").read_bytes()):
                 sensors.append(importlib.import_module(f"testbed.sensors.{module.name}").SENSOR)
