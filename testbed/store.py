@@ -251,8 +251,8 @@ def read_part(store: Store, name: str, read: Callable[[Path], Any]) -> Any:
     Raises InputError that names the file when it is not.
     """
     path = store.check(name)
-    if not path.exists():
-        raise InputError(f"{path}: is missing")
+    if not path.is_file():
+        raise InputError(f"{path}: {'is no file' if path.exists() else 'is missing'}")
     try:
         return read(path)
     except InputError:

@@ -253,8 +253,7 @@ def _columns(file: Path, draw: Draw, change: Callable[[list[str], int], list[str
 
 FILE_DAMAGE = [damage_file, no_file, empty_file, folder_instead]
 TABLE_DAMAGE = [*FILE_DAMAGE, drop_column, column_twice, odd_cell, few_rows, reverse_rows]
-RESULT_DAMAGE = [no_file]
-"""Grows to all of `TABLE_DAMAGE` with the checks of what a result folder holds."""
+RESULT_DAMAGE = TABLE_DAMAGE
 
 
 def damage_folder(folder: Path, kinds: list[Callable[[Path, Draw], None]], draw: Draw) -> str:

@@ -39,6 +39,8 @@ PARQUET_COLUMNS = {
 }
 
 
+KEYS = ("estimator", "window", "metric", "quantity", "baseline", "status", "verdict", "samples", "median_us")
+"""Columns that say what a row is about: no table that has them does without."""
 TEXT_COLUMNS = tuple(
     "estimator window metric id text verdict quantity baseline status reason better than origin runaways".split()
 )
@@ -195,10 +197,14 @@ class Result:
 
     def per_run(self, metrics: list[str], window: str) -> pd.DataFrame:
         """Rows of ``metrics.parquet``: run, estimator, window, metric, value. Only what is asked for is read."""
-        path = self.folder / "metrics.parquet"
-        if not path.exists():
-            return pd.DataFrame(columns=["run", "estimator", "window", "metric", "value"])
-        return pd.read_parquet(path, filters=[("metric", "in", metrics), ("window", "==", window)])
+        columns = ["run", "estimator", "window", "metric", "value"]
+        chosen = [("metric", "in", metrics), ("window", "==", window)]
+
+        def read(path: Path) -> pd.DataFrame:
+            return pd.read_parquet(path, columns=columns, filters=chosen)
+
+        frame: pd.DataFrame | None = optional_part(open_result(self.folder), "metrics.parquet", read)
+        return pd.DataFrame(columns=columns) if frame is None else frame
 
 
 def load_result(folder: str | Path) -> Result:
@@ -238,6 +244,11 @@ def _read(store: Store, name: str, columns: str) -> pd.DataFrame:
         for column in wanted:
             if column not in texts and column in frame and not _numbers(frame[column]):
                 raise ValueError(f"column '{column}' holds something else than numbers")
+        for column in KEYS:
+            if column in wanted and (column not in frame or frame[column].isna().any()):
+                raise ValueError(f"column '{column}' is missing or has empty cells")
+            if column == "samples" and column in wanted and not math.isfinite(frame[column].sum()):
+                raise ValueError(f"column '{column}' is not finite")
         return frame.reindex(columns=[*frame.columns, *(c for c in wanted if c not in frame.columns)])
 
     frame = optional_part(store, name, read)
@@ -250,14 +261,22 @@ def _load_details(store: Store) -> dict[str, Any]:
         return {}
     info = _checked(info, store.out / "details" / "info.json", INFO_SHAPES)
     found: dict[str, Any] = {"info": info}
-    if (truth := optional_part(store, "details/truth.parquet", pd.read_parquet)) is not None:
+    if (truth := optional_part(store, "details/truth.parquet", _over_time)) is not None:
         found["truth"] = truth
     for kind in ("errors", "innovations", "extras"):
         names = {label: f"details/{kind}-{slug}.parquet" for label, slug in info.get("estimators", {}).items()}
-        tables = {label: optional_part(store, name, pd.read_parquet) for label, name in names.items()}
+        tables = {label: optional_part(store, name, _over_time) for label, name in names.items()}
         found[kind] = {label: table for label, table in tables.items() if table is not None}
     found["innovations"] = {label: _by_aiding(frame) for label, frame in found["innovations"].items()}
     return found
+
+
+def _over_time(path: Path) -> pd.DataFrame:
+    """A table of run 0: a column of times, and numbers or marks beside it. Raises ValueError for anything else."""
+    frame = pd.read_parquet(path)
+    if "time_s" not in frame or not pd.api.types.is_numeric_dtype(frame["time_s"]):
+        raise ValueError("it has no column 'time_s' of numbers")
+    return frame
 
 
 def _by_aiding(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
