@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from testbed.records import Array, SensorLog
-from testbed.registry import make_estimator
+from testbed.data.records import Array, SensorLog
+from testbed.data.registry import make_estimator
 
 EVERY = 3
 """Every third training flight: seven of twenty."""
@@ -57,10 +57,10 @@ Flight = tuple[SensorLog, Array]
 
 def flights(validation: bool = False) -> list[Flight]:
     """Every `EVERY`-th flight of the data set that the network is trained on, or its validation flights."""
-    from testbed.dataset import make_dataset, open_dataset
-    from testbed.rotations import quats_to_eulers
+    from testbed.physics.rotations import quats_to_eulers
     from testbed.scenario import load_scenario
-    from testbed.training import dataset_folder
+    from testbed.training.dataset import make_dataset, open_dataset
+    from testbed.training.train import dataset_folder
 
     scenario = load_scenario("ahrs-lstm-2022")
     training, held_back = open_dataset(make_dataset(scenario, dataset_folder(scenario)))
@@ -70,7 +70,7 @@ def flights(validation: bool = False) -> list[Flight]:
 
 def rmse(name: str, params: Mapping[str, float], given: Sequence[Flight]) -> float:
     """Roll and pitch over all flights; infinite where the filter fails."""
-    from testbed.rotations import quats_to_eulers, wrap
+    from testbed.physics.rotations import quats_to_eulers, wrap
 
     squares = []
     for log, truth in given:

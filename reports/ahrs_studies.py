@@ -17,7 +17,7 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from testbed.records import SensorLog
+    from testbed.data.records import SensorLog
 
 SCENARIO = "ahrs-lstm-2022"
 ROOT = Path(__file__).resolve().parent
@@ -32,7 +32,7 @@ PHASES = ("cruise", "loiter")
 
 def learning_curve() -> None:
     """``learning-curve.csv`` and ``.png``: the curve that the shipped weights carry with them."""
-    from estimators.ahrs_weights import load_weights
+    from estimators.learning.ahrs_weights import load_weights
 
     metadata = load_weights("").metadata
     curve = metadata["learning_curve"]
@@ -55,7 +55,7 @@ def learning_curve() -> None:
 def structures() -> None:
     """``structures.csv``: the paper's Table 3, from ``testbed train ahrs-lstm-2022 --profile sweep`` (resumed if begun)."""
     from testbed.scenario import load_scenario
-    from testbed.training import train
+    from testbed.training.train import train
 
     table = train(load_scenario(SCENARIO, profile="sweep"), RESULTS / f"{SCENARIO}-sweep", resume=True)
     (TARGET / "structures.csv").write_bytes(Path(table).read_bytes())
@@ -92,8 +92,8 @@ def allan() -> None:
 
 def attitude_rates(log: SensorLog) -> dict[str, Any]:
     """(N,3) rad/s: what the gyros say, and how fast the attitude of each filter turns in b."""
-    from testbed.registry import make_estimator
-    from testbed.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
+    from testbed.data.registry import make_estimator
+    from testbed.physics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 
     dt, rates = np.diff(log.imu.t), {"IMU": log.imu.gyro[1:]}
     for label, (name, params) in rows_of_scenario().items():
@@ -113,8 +113,8 @@ def rows_of_scenario() -> dict[str, tuple[str, Mapping[str, Any]]]:
 
 def log_at_rest(duration_s: float, seed: int) -> SensorLog:
     """The scenario's sensors on a bench, level, heading north."""
-    from testbed.earth import earth_rate_n, gravity
-    from testbed.records import Trajectory
+    from testbed.data.records import Trajectory
+    from testbed.physics.earth import earth_rate_n, gravity
     from testbed.scenario import load_scenario
     from testbed.sensors import sense_flight
 
@@ -132,7 +132,7 @@ def log_at_rest(duration_s: float, seed: int) -> SensorLog:
 
 def generalisation() -> None:
     """``generalisation.csv``: the learned gain where it was not trained, against the KF there, `VARIANT_RUNS` runs each."""
-    from testbed.runner import run
+    from testbed.montecarlo.runner import run
     from testbed.scenario import load_scenario
     from testbed.scoring.effects import effect
 
@@ -186,7 +186,7 @@ def phases() -> None:
 
 def nine_hours() -> None:
     """``nine-hours.csv``: one run of the profile ``paper``, a flight of nine hours as in the paper."""
-    from testbed.runner import run
+    from testbed.montecarlo.runner import run
     from testbed.scenario import load_scenario
 
     folder = RESULTS / f"{SCENARIO}-paper"

@@ -166,14 +166,14 @@ class Stages:
 
 def flight(duration_s: str, rate_hz: str) -> dict[str, Any]:
     """Fly without the cache, sense, filter, score: one long flight of turns and straights."""
-    from testbed import metrics
+    from testbed.base.schema import validate
+    from testbed.data.registry import make_estimator
     from testbed.flight import FlightConfig, fly_flight
-    from testbed.registry import make_estimator
-    from testbed.schema import validate
+    from testbed.scenario.windows import Window
+    from testbed.scoring import metrics
     from testbed.sensors import sense_flight
     from testbed.sensors.config import InitialConfig
     from testbed.sensors.registry import SensorsConfig
-    from testbed.windows import Window
 
     def job(duration: float, stage: Stages) -> int:
         legs = [{"type": "turn", "bank_deg": bank, "duration_s": 30.0} for bank in (30.0, -30.0)] * 1000
@@ -204,7 +204,7 @@ def runs(count: str) -> dict[str, Any]:
     """So many runs of the tiny scenario in this process, stored and aggregated."""
 
     def job(scenario: Any, folder: str, number: int) -> float:
-        from testbed.runner import run
+        from testbed.montecarlo.runner import run
 
         start = time.perf_counter()
         run(scenario, folder, runs=number, jobs=1)
@@ -219,7 +219,7 @@ def runs(count: str) -> dict[str, Any]:
 
 def estimators(count: str) -> dict[str, Any]:
     """Ten runs of the tiny scenario with so many rows."""
-    from testbed.runner import run
+    from testbed.montecarlo.runner import run
 
     with tempfile.TemporaryDirectory() as scratch:
         scenario = _tiny(Path(scratch), int(count))
@@ -279,18 +279,18 @@ def stages() -> dict[str, Any]:
     stage, start = Stages(), time.perf_counter()
     with tempfile.TemporaryDirectory() as scratch:
         with stage("imports"):
+            import testbed.montecarlo.runner
             import testbed.report.figures
             import testbed.report.html
-            import testbed.runner
             from testbed.scenario import load_scenario
         with stage("read the scenario"):
             scenario = load_scenario("quickstart")
         with stage("flight from the cache, kernels, one log"):
-            testbed.runner.prepare(testbed.runner.plan(scenario))
+            testbed.montecarlo.runner.prepare(testbed.montecarlo.runner.plan(scenario))
         with stage("first run: kernels of the filters"):
-            testbed.runner.run(scenario, f"{scratch}/one", runs=1, jobs=1)
+            testbed.montecarlo.runner.run(scenario, f"{scratch}/one", runs=1, jobs=1)
         with stage("20 runs in two processes, tables"):
-            testbed.runner.run(scenario, f"{scratch}/out", jobs=2)
+            testbed.montecarlo.runner.run(scenario, f"{scratch}/out", jobs=2)
         with stage("report"):
             testbed.report.render(f"{scratch}/out", svg=False)
     return stage.table() | {"total_s": time.perf_counter() - start}

@@ -32,7 +32,7 @@ PACKAGES = (
 
 def measure_paths() -> dict[str, Any]:
     """Run the benchmarks of ``tests/benchmarks`` in one process; name -> group, least and median seconds, extras."""
-    from testbed.limits import thread_environment
+    from testbed.base.time_limit import thread_environment
 
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "benchmarks.json"
@@ -68,7 +68,7 @@ LONG = ("monte-carlo", "many-runs", "tests")
 
 def provenance() -> dict[str, Any]:
     """Machine, versions and date of a measurement."""
-    from testbed.runner import git_revision
+    from testbed.montecarlo.runner import git_revision
 
     versions = {}
     for name in PACKAGES:

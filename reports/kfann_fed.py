@@ -15,8 +15,8 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd
 
-    from estimators.lkf9 import Array, Measurements
-    from testbed.records import NavSolution, SensorLog
+    from estimators.methods.lkf9 import Array, Measurements
+    from testbed.data.records import NavSolution, SensorLog
 
 SCENARIO = "kfann-2018"
 VARIANTS = (
@@ -74,8 +74,8 @@ def run_variant(variant: str, runs: int) -> pd.DataFrame:
 
 def answers(log: SensorLog, full: SensorLog) -> dict[str, NavSolution]:
     """What the 9-state filter answers when it is fed with this or that; ``full`` is the log with the hidden fixes in it."""
-    from estimators.kfann import TARGETS, Ann, Kfann, network_outputs, outages_of, train_networks
-    from estimators.lkf9 import Lkf9, fixes_of, free_ins, gnss_measurements
+    from estimators.learning.kfann import TARGETS, Ann, Kfann, network_outputs, outages_of, train_networks
+    from estimators.methods.lkf9 import Lkf9, fixes_of, free_ins, gnss_measurements
 
     settings, ins = Kfann(inputs="nn3"), free_ins(log)
     real, every = (gnss_measurements(ins, fixes_of(part, "fed")) for part in (log, full))
@@ -110,8 +110,8 @@ def fed_with(
     settings: Any, log: SensorLog, ins: Any, real: Measurements, times: Array, value: Array, std: Array
 ) -> NavSolution:
     """The filter fed with the log's fixes, and with positions ``value`` (M,6), ``std`` (6,) at ``times`` (M,)."""
-    from estimators.kfann import in_order
-    from estimators.lkf9 import Measurements, run_filter
+    from estimators.learning.kfann import in_order
+    from estimators.methods.lkf9 import Measurements, run_filter
 
     made_up = Measurements(times, value, np.tile(std, (len(times), 1)), np.full(len(times), 3))
     return run_filter(settings, log, ins, in_order([real, made_up]))
@@ -126,7 +126,7 @@ def straight_line(real: Measurements, start: float, times: Array) -> Array:
 
 def rmse(trajectory: Any, solution: NavSolution, start: float, end: float) -> float:
     """3-D position RMSE (m) over (start, end]."""
-    from testbed.metrics import error_series
+    from testbed.scoring.metrics import error_series
 
     series = error_series(trajectory, solution)
     rows = (series.t > start + 1e-9) & (series.t <= end + 1e-9)

@@ -30,8 +30,8 @@ def make_maps(
     results: Path, target: Path, resume: bool = False, announce: Callable[[str], None] | None = None
 ) -> pd.DataFrame:
     """Sweep the bias, and write map and table to ``target``; the sweep itself goes to ``results``."""
+    from testbed.montecarlo.sweep import sweep
     from testbed.scenario import load_scenario
-    from testbed.sweep import sweep
 
     def load(overrides: Mapping[str, Any]) -> Any:
         return load_scenario(SCENARIO, variant=VARIANT, overrides={**overrides, "monte_carlo.runs": RUNS})

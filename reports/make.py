@@ -76,9 +76,9 @@ def main(names: list[str]) -> None:
 
 def make(name: str, variant: str | None, resume: bool = False) -> None:
     """Run one scenario in one variant and copy its report; ``resume`` keeps the runs that are stored."""
-    from testbed.commands import progress_line
+    from testbed.cli.commands import progress_line
+    from testbed.montecarlo.runner import run
     from testbed.report import render
-    from testbed.runner import run
     from testbed.scenario import load_scenario, overlays_of
 
     folder = name if variant is None else f"{name}-{variant}"

@@ -22,9 +22,9 @@ SCORED = 3
 def write_lessons(target: Path, variant: str | None = None) -> Path:
     """Train the scenario's NNCKF rows on its training flight and write what is left of the drift, seen and unseen."""
     from testbed import pipeline
-    from testbed.registry import make_estimator
+    from testbed.data.registry import make_estimator
     from testbed.scenario import load_scenario
-    from testbed.training_flights import OUTAGE_KEYS, training_flights
+    from testbed.training.flights import OUTAGE_KEYS, training_flights
 
     clear = {f"sensors.gnss.{key}": value for key, value in OUTAGE_KEYS.items() if value is not None}
     scenario = load_scenario(SCENARIO, variant=variant, overrides={"extra.training.runs": DRAWS} | clear)
@@ -72,7 +72,7 @@ def _drift_table(drifts: dict[str, Sequence[Any]]) -> list[str]:
 
 
 def _lesson_row(label: str, pupil: Any, drifts: Sequence[Any], unseen: Sequence[Any]) -> str:
-    from estimators.narx_aiding import HELD_BACK
+    from estimators.learning.narx_aiding import HELD_BACK
 
     networks = pupil.initial_networks(None)
     kept_back = drifts[HELD_BACK - 1 :: HELD_BACK]

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from testbed import earth
-from testbed.records import NavSolution, SensorErrors, SensorLog, Trajectory
-from testbed.rotations import quat_multiply, rotvec_to_quat
+from testbed.data.records import NavSolution, SensorErrors, SensorLog, Trajectory
+from testbed.physics import earth
+from testbed.physics.rotations import quat_multiply, rotvec_to_quat
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,7 +50,7 @@ def write_growth(
     With a ``name`` the tables alone, as ``outage-growth-NAME.md``.
     """
     from testbed import pipeline
-    from testbed.registry import make_estimator
+    from testbed.data.registry import make_estimator
     from testbed.scenario import load_scenario
 
     scenario = load_scenario(SCENARIO, variant=variant, overrides=overrides)
@@ -135,8 +135,8 @@ def _coast(
     truth: Trajectory, log: SensorLog, errors: SensorErrors, solution: NavSolution, start: float, end: float, group: str
 ) -> float:
     """Position error at ``end`` of a free run from the truth at ``start`` with the errors of one group."""
-    from estimators.strapdown import integrate
-    from testbed.rotations import attitude_errors
+    from estimators.core.strapdown import integrate
+    from testbed.physics.rotations import attitude_errors
 
     imu = log.imu
     rows = slice(int(np.searchsorted(imu.t, start + 1e-6)), int(np.searchsorted(imu.t, end + 1e-6)))
@@ -189,7 +189,7 @@ def bias_table(
 
 def outside_share(trajectory: Trajectory, solution: NavSolution, windows: Any, sigmas: float = 3.0) -> np.ndarray:
     """Share (9,) of the time within ``windows`` that each error is outside its band: position, velocity, attitude."""
-    from testbed.metrics import error_series
+    from testbed.scoring.metrics import error_series
 
     series = error_series(trajectory, solution)
     assert solution.std is not None
@@ -205,7 +205,7 @@ def draw_bands(trajectory: Trajectory, solutions: Mapping[str, NavSolution], out
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from testbed.metrics import error_series
+    from testbed.scoring.metrics import error_series
 
     figure = Figure(figsize=(13.0, 5.4), layout="constrained")
     FigureCanvasAgg(figure)

@@ -20,23 +20,24 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from testbed import kernel_cache
+from testbed.base import old_names
 
 if TYPE_CHECKING:
-    from testbed.errors import FlightError, InputError, TestbedError
+    from testbed.base.errors import FlightError, InputError, TestbedError
+    from testbed.data.records import InitialState, NavSolution, SensorErrors, SensorLog, Trajectory
+    from testbed.data.registry import list_estimators, load_plugin, make_estimator
+    from testbed.montecarlo.runner import run
     from testbed.pipeline import fly, score, sense
-    from testbed.records import InitialState, NavSolution, SensorErrors, SensorLog, Trajectory
-    from testbed.registry import list_estimators, load_plugin, make_estimator
-    from testbed.runner import run
     from testbed.scenario import Scenario, list_scenarios, load_scenario
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "testbed.errors": ("FlightError", "InputError", "TestbedError"),
+    "testbed.base.errors": ("FlightError", "InputError", "TestbedError"),
     "testbed.pipeline": ("fly", "score", "sense"),
-    "testbed.records": ("InitialState", "NavSolution", "SensorErrors", "SensorLog", "Trajectory"),
-    "testbed.registry": ("list_estimators", "load_plugin", "make_estimator"),
-    "testbed.runner": ("run",),
+    "testbed.data.records": ("InitialState", "NavSolution", "SensorErrors", "SensorLog", "Trajectory"),
+    "testbed.data.registry": ("list_estimators", "load_plugin", "make_estimator"),
+    "testbed.montecarlo.runner": ("run",),
     "testbed.scenario": ("Scenario", "list_scenarios", "load_scenario"),
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names}
@@ -63,6 +64,7 @@ __all__ = [
 
 
 kernel_cache.use_folder()
+old_names.keep()
 
 
 def __getattr__(name: str) -> Any:

@@ -58,7 +58,7 @@ def _root() -> Path:
     beside = package / "__pycache__"
     if os.access(beside if beside.is_dir() else package, os.W_OK):
         return beside / "kernels"
-    from testbed.resources import cache_root
+    from testbed.base.resources import cache_root
 
     return cache_root() / "kernels" / hashlib.sha256(str(package).encode()).hexdigest()[:12]
 

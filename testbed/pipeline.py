@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.errors import InputError
-from testbed.records import NavSolution, SensorErrors, SensorLog, Trajectory
+from testbed.base.errors import InputError
+from testbed.base.schema import validate
+from testbed.base.streams import stream
+from testbed.data.records import NavSolution, SensorErrors, SensorLog, Trajectory
 from testbed.scenario import Scenario, set_key
-from testbed.schema import validate
-from testbed.streams import stream
-from testbed.windows import Window, resolve_windows
+from testbed.scenario.windows import Window, resolve_windows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -137,7 +137,7 @@ def truth_at_imu(trajectory: Trajectory, log: SensorLog) -> Trajectory:
     arm = np.array(log.imu.spec.lever_arm_b)
     if not arm.any():
         return trajectory
-    from testbed.interpolate import point_state
+    from testbed.physics.interpolate import point_state
 
     lat, lon, h, v_n = point_state(trajectory, trajectory.t, arm)
     return replace(trajectory, lat=lat, lon=lon, h=h, v_n=v_n)
@@ -150,12 +150,12 @@ def score(
     log: SensorLog | None = None,
     errors: SensorErrors | None = None,
 ) -> pd.DataFrame:
-    """Errors of a solution as a table (window, metric, value); the metric names are in `testbed.metrics`.
+    """Errors of a solution as a table (window, metric, value); the metric names are in `testbed.scoring.metrics`.
 
     With ``log`` also the windows of drawn outages, the differences to GNSS, and an IMU's lever arm; with ``errors`` also
     ``nees_bias``.
     """
-    from testbed import metrics
+    from testbed.scoring import metrics
 
     gnss: Any = log.gnss if log is not None else None
     truth = trajectory if log is None else truth_at_imu(trajectory, log)

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.ahrs_kf import AhrsKf
-from testbed.earth import gravity
-from testbed.records import ImuSamples, InitialState, MagSamples, SensorLog
-from testbed.rotations import quat_conjugate, quat_multiply, quat_normalize, quat_to_matrix, rotvec_to_quat
-from testbed.specs import ImuSpec, MagSpec, TriadSpec
+from estimators.methods.ahrs_kf import AhrsKf
+from testbed.data.records import ImuSamples, InitialState, MagSamples, SensorLog
+from testbed.data.specs import ImuSpec, MagSpec, TriadSpec
+from testbed.physics.earth import gravity
+from testbed.physics.rotations import quat_conjugate, quat_multiply, quat_normalize, quat_to_matrix, rotvec_to_quat
 
 RATE_HZ = 50.0
 FIELD_N = (27.0, 2.0, 40.0)
@@ -78,6 +78,6 @@ def simulate(seed: int, duration_s: float = 60.0, still: bool = False, noise: fl
 
 def body_errors(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """(N,3) correction in b that the estimate lacks, rad."""
-    from testbed.rotations import quat_to_rotvec
+    from testbed.physics.rotations import quat_to_rotvec
 
     return np.array([quat_to_rotvec(quat_multiply(quat_conjugate(a), b)) for a, b in zip(estimate, truth, strict=True)])

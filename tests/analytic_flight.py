@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed import earth
-from testbed.records import Trajectory
-from testbed.rotations import eulers_to_quats
+from testbed.data.records import Trajectory
+from testbed.physics import earth
+from testbed.physics.rotations import eulers_to_quats
 
 # Amplitudes and angular rates (rad/s): 4 g and 1 rad/s at their worst.
 NORTH = ((260.0, 0.31, 0.0), (60.0, 0.73, 1.0))
@@ -70,7 +70,7 @@ def _state(t, lat0, lon0, h0, vigour):
 
 
 def _matrices(euler):
-    from testbed.rotations import quats_to_matrices
+    from testbed.physics.rotations import quats_to_matrices
 
     return quats_to_matrices(eulers_to_quats(euler))
 

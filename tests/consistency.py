@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2, t
 
-from testbed import earth
-from testbed.records import ACCEL_BIAS_STATES, GYRO_BIAS_STATES
-from testbed.rotations import attitude_errors
+from testbed.data.records import ACCEL_BIAS_STATES, GYRO_BIAS_STATES
+from testbed.physics import earth
+from testbed.physics.rotations import attitude_errors
 
 GROUPS = {"position": 3, "velocity": 3, "attitude": 3, "bias": 6}
 """Degrees of freedom."""

@@ -64,12 +64,12 @@ def _wait(child: int, limit_s: float) -> int | None:
 
 def main() -> None:
     # what the copies share: without it each would import for two seconds
-    import testbed.commands
+    import testbed.cli.commands
     import testbed.flight.driver
     import testbed.formats.importers
+    import testbed.montecarlo.runner
     import testbed.report
-    import testbed.runner
-    from testbed.registry import estimator_class
+    from testbed.data.registry import estimator_class
 
     testbed.report.preload()
     for name in ("ins", "indirect-kf"):

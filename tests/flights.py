@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from testbed.base.schema import validate
 from testbed.flight import FlightConfig
-from testbed.schema import validate
 
 
 def flight(aircraft: str, speed: float, *manoeuvres: dict[str, Any], alt: float = 1000.0, **keys: Any) -> FlightConfig:

@@ -6,10 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from testbed import earth
-from testbed.records import BaroSamples, GnssFixes, ImuSamples, InitialState, MagSamples, Phase, SensorLog, Trajectory
-from testbed.rotations import eulers_to_quats, quats_to_matrices
-from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
+from testbed.data.records import (
+    BaroSamples,
+    GnssFixes,
+    ImuSamples,
+    InitialState,
+    MagSamples,
+    Phase,
+    SensorLog,
+    Trajectory,
+)
+from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
+from testbed.physics import earth
+from testbed.physics.rotations import eulers_to_quats, quats_to_matrices
 
 GNSS = GnssSpec(
     "test gnss", 5.0, horizontal_sigma=1.5, vertical_sigma=2.5, velocity_sigma=0.05, lever_arm_b=(0.3, 0.0, -0.1)

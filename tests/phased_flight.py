@@ -9,10 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimators.strapdown import integrate
-from testbed import earth
-from testbed.records import Phase, SensorLog, Trajectory
-from testbed.rotations import eulers_to_quats, quat_conjugate, quat_multiply, quat_rotate_inverse, quat_to_rotvec
+from estimators.core.strapdown import integrate
+from testbed.data.records import Phase, SensorLog, Trajectory
+from testbed.physics import earth
+from testbed.physics.rotations import (
+    eulers_to_quats,
+    quat_conjugate,
+    quat_multiply,
+    quat_rotate_inverse,
+    quat_to_rotvec,
+)
 
 LAT, LON, H = np.radians(45.0), np.radians(10.0), 1000.0
 RAMP_S = 2.0

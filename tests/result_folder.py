@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from testbed import specs
-from testbed.specs import GnssSpec, ImuSpec, TriadSpec
+from testbed.data import specs
+from testbed.data.specs import GnssSpec, ImuSpec, TriadSpec
 
 AXES = "north_m east_m down_m v_north_mps v_east_mps v_down_mps roll_deg pitch_deg yaw_deg".split()
 SIZES = np.array([1.2, 1.4, 2.0, 0.06, 0.07, 0.05, 0.20, 0.21, 0.9])

@@ -6,8 +6,8 @@ import sys
 
 import monte_carlo as mc
 
-from testbed import runner
-from testbed.errors import TestbedError
+from testbed.base.errors import TestbedError
+from testbed.montecarlo import runner
 
 if __name__ == "__main__":
     out, runs, jobs, *rest = sys.argv[1:]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-import test_ahrs_lstm as case
+import small_training as case
 
 if __name__ == "__main__":
     flights = [case.Flight(seed) for seed in range(3)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-import test_tuning_study as study
+import small_tuning as study
 
 from testbed.tuning import history, tune
 

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimators.strapdown import integrate
-from testbed import earth
-from testbed.records import GnssFixes, ImuSamples, InitialState, SensorLog, Trajectory
-from testbed.rotations import (
+from estimators.core.strapdown import integrate
+from testbed.data.records import GnssFixes, ImuSamples, InitialState, SensorLog, Trajectory
+from testbed.data.specs import GnssSpec, ImuSpec, TriadSpec
+from testbed.physics import earth
+from testbed.physics.rotations import (
     eulers_to_quats,
     quat_conjugate,
     quat_multiply,
@@ -18,7 +19,6 @@ from testbed.rotations import (
     quat_to_rotvec,
     rotvec_to_quat,
 )
-from testbed.specs import GnssSpec, ImuSpec, TriadSpec
 
 LAT, LON, H = np.radians(35.0), np.radians(51.0), 1500.0
 

@@ -7,8 +7,8 @@ import numpy as np
 from estimators.aiding import ABSENT, Aiding, Columns, Measurements, add_aiding
 from estimators.blocks.sensors import samples_of
 from estimators.core.lanes import get, put, set_entry
-from testbed.atmosphere import isa_gradient, isa_height
-from testbed.records import SensorLog
+from testbed.data.records import SensorLog
+from testbed.physics.atmosphere import isa_gradient, isa_height
 
 SMALLEST_VARIANCE = 1e-6
 """m²: R of an ideal sensor is zero, which no filter can use."""

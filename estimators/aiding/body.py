@@ -17,10 +17,10 @@ from estimators.blocks.sensors import samples_of
 from estimators.core.filter import attitude, triple
 from estimators.core.lanes import entry, get, put, set_entry
 from estimators.policies import positive
-from testbed import earth
-from testbed.errors import InputError
-from testbed.records import SensorLog
-from testbed.rotations import cross, matrix_rotate, quat_to_matrix
+from testbed.base.errors import InputError
+from testbed.data.records import SensorLog
+from testbed.physics import earth
+from testbed.physics.rotations import cross, matrix_rotate, quat_to_matrix
 
 GYRO_BIAS, SCALE, MOUNTING = 3, 4, 5
 """Places in the parameters of the columns of blocks, behind the arm."""

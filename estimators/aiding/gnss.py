@@ -13,10 +13,10 @@ from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_
 from estimators.core.filter import attitude, triple
 from estimators.core.lanes import get, put, set_entry
 from estimators.core.lever_arm import lever_arm
-from testbed import earth
-from testbed.errors import InputError
-from testbed.records import GnssFixes, SensorLog
-from testbed.rotations import cross, matrix_rotate, quat_to_matrix
+from testbed.base.errors import InputError
+from testbed.data.records import GnssFixes, SensorLog
+from testbed.physics import earth
+from testbed.physics.rotations import cross, matrix_rotate, quat_to_matrix
 
 MINIMUM_STD = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
 """R of an ideal receiver is zero, which no filter can use: 1 mm and 0.1 mm/s are the least (1 sigma)."""

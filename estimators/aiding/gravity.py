@@ -12,9 +12,9 @@ from estimators.aiding.standstill import SIGMAS, mean_std
 from estimators.core.filter import attitude
 from estimators.core.lanes import get, put, set_entry
 from estimators.policies import positive
-from testbed import earth
-from testbed.records import SensorLog
-from testbed.rotations import cross, quat_to_matrix
+from testbed.data.records import SensorLog
+from testbed.physics import earth
+from testbed.physics.rotations import cross, quat_to_matrix
 
 
 def levels(log: SensorLog, columns: Columns, window_s: float = 0.2, rate_hz: float = 1.0) -> Measurements:

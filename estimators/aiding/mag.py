@@ -12,9 +12,9 @@ from estimators.aiding import ABSENT, Aiding, Columns, Measurements, add_aiding
 from estimators.blocks.sensors import samples_of
 from estimators.core.filter import attitude, triple
 from estimators.core.lanes import get, put, set_entry
-from testbed.errors import InputError
-from testbed.records import MagSamples, SensorLog
-from testbed.rotations import cross, matrix_rotate, quat_to_matrix
+from testbed.base.errors import InputError
+from testbed.data.records import MagSamples, SensorLog
+from testbed.physics.rotations import cross, matrix_rotate, quat_to_matrix
 
 HARD_IRON, DISTORTION = 3, 4
 """Places in the parameters of the columns of blocks, behind the local field."""

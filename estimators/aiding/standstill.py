@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from estimators.aiding import Array
 from estimators.policies import fraction
-from testbed import earth
-from testbed.records import SensorLog
-from testbed.specs import TriadSpec
+from testbed.data.records import SensorLog
+from testbed.data.specs import TriadSpec
+from testbed.physics import earth
 
 SIGMAS = 4.0
 """Of what biases and noise make of a window's mean: one stop in some thousand is missed."""

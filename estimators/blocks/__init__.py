@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.records import SensorLog
+from testbed.data.records import SensorLog
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from estimators.blocks import Block, Process, add_block, constant, per_axis
 from estimators.core.lanes import get, set_entry
-from testbed.records import SensorLog
-from testbed.specs import TriadSpec
+from testbed.data.records import SensorLog
+from testbed.data.specs import TriadSpec
 
 MEMORY = 0.3
 """How far back a bias estimate looks, in correlation times of the bias: tens of seconds for the units of the catalogue."""

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from estimators.blocks import Block, Process, add_block, constant, per_axis
-from testbed.atmosphere import isa_gradient
-from testbed.errors import InputError
-from testbed.records import SensorLog
+from testbed.base.errors import InputError
+from testbed.data.records import SensorLog
+from testbed.physics.atmosphere import isa_gradient
 
 SMALLEST_STD = 1e-9
 """Of a figure that a data sheet does not give: the state stays where it is, and P stays regular."""

@@ -36,8 +36,15 @@ from estimators.core.parts import find_aiding, find_block, find_policy
 from estimators.core.propagate import NAV, Coupling, make_covariance, make_covariances
 from estimators.core.timeline import Timeline, make_timeline, walk
 from estimators.policies import Policy
-from testbed.errors import InputError, nearest
-from testbed.records import ACCEL_BIAS_STATES, GYRO_BIAS_STATES, NAVIGATION_STATES, Innovations, NavSolution, SensorLog
+from testbed.base.errors import InputError, nearest
+from testbed.data.records import (
+    ACCEL_BIAS_STATES,
+    GYRO_BIAS_STATES,
+    NAVIGATION_STATES,
+    Innovations,
+    NavSolution,
+    SensorLog,
+)
 
 Array = NDArray[np.float64]
 

@@ -27,11 +27,18 @@ from estimators.core.propagate import (
     turn_position_errors,
     turn_velocity_errors,
 )
+from estimators.core.strapdown import advance, compensate, coning_sculling
 from estimators.core.timeline import INLINED, steps
 from estimators.core.update import innovation_covariance, update
-from estimators.strapdown import advance, compensate, coning_sculling
-from testbed import earth
-from testbed.rotations import cross, matrix_rotate, quat_multiply, quat_normalize, quat_to_matrix, rotvec_to_quat
+from testbed.physics import earth
+from testbed.physics.rotations import (
+    cross,
+    matrix_rotate,
+    quat_multiply,
+    quat_normalize,
+    quat_to_matrix,
+    rotvec_to_quat,
+)
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 from numpy.typing import NDArray
 
-from testbed.rotations import half_turn
+from testbed.physics.rotations import half_turn
 
 WIDTH = 8
 """Numbers side by side: a cache line of doubles, one AVX-512 register or two of AVX2."""

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from numba import njit
 
-from testbed import earth
-from testbed.rotations import cross, matrix_rotate
+from testbed.physics import earth
+from testbed.physics.rotations import cross, matrix_rotate
 
 
 @njit(cache=True, nogil=True, _nrt=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from testbed import earth
+from testbed.physics import earth
 
 
 @njit(cache=True, nogil=True, _nrt=False)

@@ -8,7 +8,7 @@ from typing import Any
 from estimators.aiding import AIDINGS, Aiding, baro, body, gnss, gravity, mag
 from estimators.blocks import BLOCKS, Block, imu, sensors
 from estimators.policies import POLICIES, Policy, adaptive, gate, robust
-from testbed.errors import InputError, nearest
+from testbed.base.errors import InputError, nearest
 
 SHIPPED = (baro, body, gnss, gravity, mag, imu, sensors, adaptive, gate, robust)
 """Modules of parts; importing them makes their parts known."""

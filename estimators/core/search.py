@@ -18,10 +18,10 @@ from estimators.core.composition import Composition, Prepared, make_lanes, make_
 from estimators.core.filter import keeper
 from estimators.core.lanes import WIDTH, aligned, get, put
 from estimators.core.timeline import walk
-from testbed import earth
-from testbed.errors import InputError
-from testbed.records import SensorLog, Trajectory
-from testbed.rotations import quat_to_euler, quats_to_eulers, wrap
+from testbed.base.errors import InputError
+from testbed.data.records import SensorLog, Trajectory
+from testbed.physics import earth
+from testbed.physics.rotations import quat_to_euler, quats_to_eulers, wrap
 
 Array = NDArray[np.float64]
 

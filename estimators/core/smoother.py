@@ -22,8 +22,8 @@ from estimators.core.filter import INVARIANT, REJECTED, Model, begin, correct, m
 from estimators.core.lanes import WIDTH, aligned
 from estimators.core.propagate import NAV, blocks_of, make_covariance, transition
 from estimators.core.timeline import SAME_TIME, Timeline, steps, walk
-from testbed.records import NavSolution
-from testbed.rotations import cross
+from testbed.data.records import NavSolution
+from testbed.physics.rotations import cross
 
 Array = NDArray[np.float64]
 

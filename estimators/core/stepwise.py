@@ -23,8 +23,8 @@ from estimators.core.filter import AUX, REJECTED, begin, correct, observe, predi
 from estimators.core.propagate import NAV
 from estimators.core.timeline import SAME_TIME
 from estimators.core.update import innovation_covariance
-from testbed.errors import InputError, nearest
-from testbed.records import NavSolution
+from testbed.base.errors import InputError, nearest
+from testbed.data.records import NavSolution
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from estimators.core.composition import Composition, Prepared, prepare, run
 from estimators.core.smoother import smooth
 from estimators.core.stepwise import Stepwise
 from estimators.policies import POLICIES, positive
-from testbed.errors import InputError, nearest
-from testbed.records import NavSolution, SensorLog
+from testbed.base.errors import InputError, nearest
+from testbed.data.records import NavSolution, SensorLog
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.errors import InputError
+from testbed.base.errors import InputError
 
 Array = NDArray[np.float64]
 

@@ -1,15 +1,15 @@
 """Adaptive policies: noise variances that follow the innovations (Sage-Husa), and a fading covariance (strong tracking).
 
 Sage & Husa, *Joint Automatic Control Conference* (1969), with exponential forgetting; Zhou & Frank, *Int. J. Control* 65
-(1996) by `estimators.strong_tracking`.
+(1996) by `estimators.core.strong_tracking`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from estimators.core.strong_tracking import fading_factor, smooth_innovations
 from estimators.policies import Array, Policy, add_policy, fraction
-from estimators.strong_tracking import fading_factor, smooth_innovations
 
 COUNT, FORGETTING, FIRST = 0, 1, 2
 LEAST_SHARE = 0.01

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimators.policies import Array, Policy, add_policy, positive
-from testbed.errors import InputError
+from testbed.base.errors import InputError
 
 
 def huber_memory(rows: int, k: float = 1.345) -> Array:

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from testbed.csv_text import csv_text
-from testbed.errors import InputError, nearest
+from testbed.base.csv_text import csv_text
+from testbed.base.errors import InputError, nearest
+from testbed.base.files import write_with
 from testbed.features.learning import LearningData
 from testbed.features.lipschitz import LagCurve, lag_curve
 from testbed.features.mrmr import Ranked, rank_mrmr
-from testbed.files import write_with
-from testbed.folders import Folder, check_own
+from testbed.montecarlo.folders import Folder, check_own
 from testbed.scenario import EstimatorConfig, Scenario
 
 KIND = "testbed features"
@@ -37,8 +37,8 @@ def features(
 
     ``estimator``: the row whose networks are meant (default: the first that can say). Raises InputError when none can.
     """
-    from testbed.registry import make_estimator
-    from testbed.training_flights import training_flights
+    from testbed.data.registry import make_estimator
+    from testbed.training.flights import training_flights
 
     check_own(Path(out), KIND)
     entry = _learner(scenario, estimator)
@@ -89,7 +89,7 @@ def plot_lags(curves: Mapping[str, LagCurve], path: Path) -> None:
 
 
 def _learner(scenario: Scenario, row: str | None) -> EstimatorConfig:
-    from testbed.registry import estimator_class
+    from testbed.data.registry import estimator_class
 
     able = [e for e in scenario.estimators if hasattr(estimator_class(e.name), "learning_data")]
     if not able:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.errors import InputError, TestbedError
+from testbed.base.errors import InputError, TestbedError
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.errors import InputError
+from testbed.base.errors import InputError
 from testbed.features.information import Array
 
 

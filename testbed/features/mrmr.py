@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from testbed.errors import InputError
+from testbed.base.errors import InputError
 from testbed.features.information import Array, mutual_information, mutual_information_knn
 
 

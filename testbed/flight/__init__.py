@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from testbed.data.records import Trajectory
 from testbed.flight.aircraft import Aircraft, list_aircraft, load_aircraft
 from testbed.flight.config import FlightConfig
 from testbed.flight.drive import DriveConfig, drive
-from testbed.records import Trajectory
 
 __all__ = ["DriveConfig", "FlightConfig", "fly_flight", "list_aircraft"]
 
@@ -43,10 +43,10 @@ def fly_flight(config: FlightConfig | DriveConfig, seed: int = 0, use_cache: boo
 def _fly(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> Trajectory:
     import numpy as np
 
-    from testbed.earth import G0
-    from testbed.errors import FlightError
+    from testbed.base.errors import FlightError
     from testbed.flight.driver import AIR, FEWEST_SAMPLES, fly_script
     from testbed.flight.truth import make_trajectory
+    from testbed.physics.earth import G0
 
     flown = fly_script(config, aircraft, folder, seed)
     if len(flown.state) < FEWEST_SAMPLES:

@@ -12,10 +12,10 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from testbed.errors import InputError, nearest, shown
+from testbed.base.errors import InputError, nearest, shown
+from testbed.base.resources import aircraft_root
+from testbed.base.schema import Table, read_toml, validate
 from testbed.flight.models import check_model, files_of
-from testbed.resources import aircraft_root
-from testbed.schema import Table, read_toml, validate
 
 Positive = Annotated[float, Field(gt=0)]
 _STEP = r"[A-Za-z_][A-Za-z0-9_.-]*(\[[0-9]{1,3}\])?"

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from testbed.earth import G0
-from testbed.rotations import wrap
+from testbed.physics.earth import G0
+from testbed.physics.rotations import wrap
 
 # measurements
 ROLL, PITCH, YAW, P, Q, R, AIRSPEED, ALPHA, BETA, HEIGHT, CLIMB_RATE = range(11)

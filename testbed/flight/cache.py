@@ -11,13 +11,13 @@ import os
 from importlib.metadata import version
 from pathlib import Path
 
-from testbed.columns import read_header
-from testbed.errors import InputError, tell_user
-from testbed.files import StoreError
+from testbed.base.errors import InputError, tell_user
+from testbed.base.files import StoreError
+from testbed.base.resources import cache_root
+from testbed.data.columns import read_header
+from testbed.data.records import Trajectory
 from testbed.flight.config import FlightConfig
 from testbed.flight.models import files_of
-from testbed.records import Trajectory
-from testbed.resources import cache_root
 
 CODE_VERSION = 3
 """Raise it with every change of this package that changes a flight."""

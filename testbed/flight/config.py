@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from testbed.schema import Name, Table
+from testbed.base.schema import Name, Table
 
 Metres = Annotated[float, Field(ge=-2e7, le=2e7)]
 """Half around the Earth to either side."""

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from testbed.errors import FlightError
-from testbed.schema import Table
+from testbed.base.errors import FlightError
+from testbed.base.schema import Table
 
 if TYPE_CHECKING:
-    from testbed.records import Array, Trajectory
+    from testbed.data.records import Array, Trajectory
 
 Speed = Annotated[float, Field(gt=0, le=100)]
 STANDSTILL = 1e-9
@@ -107,8 +107,8 @@ class Leg:
 
 def drive(config: DriveConfig) -> Trajectory:
     """The truth of a drive. Raises FlightError for what a vehicle cannot do."""
+    from testbed.data.records import Phase
     from testbed.flight.truth import make_trajectory
-    from testbed.records import Phase
 
     legs = plan(config)
     ends = np.cumsum([leg.duration for leg in legs])

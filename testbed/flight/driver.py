@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.earth import G0, metres_per_radian
-from testbed.errors import FlightError, TestbedError, tell_user
+from testbed.base.errors import FlightError, TestbedError, tell_user
+from testbed.data.records import Phase
 from testbed.flight import autopilot_kernels as ap
 from testbed.flight import manoeuvres
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.autopilot import gain_array
 from testbed.flight.config import FlightConfig, Loiter, Straight
 from testbed.flight.simulator import FOOT, KELVIN_PER_RANKINE, STATE, Simulator
-from testbed.records import Phase
+from testbed.physics.earth import G0, metres_per_radian
 
 STEP_RATE_MIN = 200.0
 """JSBSim steps at least this often: the aerosonde's roll mode has a time constant of 33 ms."""

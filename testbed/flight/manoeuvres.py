@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.earth import G0
-from testbed.earth import A as EARTH_RADIUS
-from testbed.errors import FlightError
+from testbed.base.errors import FlightError
 from testbed.flight import autopilot_kernels as ap
 from testbed.flight import config as cfg
 from testbed.flight.aircraft import Aircraft
+from testbed.physics.earth import G0
+from testbed.physics.earth import A as EARTH_RADIUS
 
 ROLL_OUT_LAG_S = 0.4
 """How long the bank loop lags behind its ramp: heading that a turn still gains after it is told to end."""

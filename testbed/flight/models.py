@@ -18,7 +18,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from testbed.errors import InputError, shown
+from testbed.base.errors import InputError, shown
 
 OPENING = ("input", "output")
 """Elements that open files and sockets where they are direct children of a file's root."""

@@ -12,7 +12,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import InputError
+from testbed.base.errors import InputError
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.config import FlightConfig
 from testbed.flight.models import ModelPaths, clean_copy

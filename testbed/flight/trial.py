@@ -12,10 +12,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from testbed.errors import InputError
+from testbed.base.errors import InputError
+from testbed.base.resources import aircraft_root
 from testbed.flight.cache import content_of
 from testbed.flight.config import FlightConfig
-from testbed.resources import aircraft_root
 
 LONGEST_S = 15.0
 """The trial of a sound model takes two seconds, most of it imports."""
@@ -62,7 +62,7 @@ def _death(child: subprocess.CompletedProcess[str]) -> str:
 
 def main() -> None:
     """The child: reads what to try from stdin; says what is wrong on stdout and leaves with `REFUSED`."""
-    from testbed.errors import TestbedError
+    from testbed.base.errors import TestbedError
     from testbed.flight.aircraft import load_aircraft
     from testbed.flight.driver import time_steps
     from testbed.flight.simulator import Simulator

@@ -11,9 +11,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.data.records import Phase, Trajectory
 from testbed.flight import truth_kernels as kernels
-from testbed.records import Phase, Trajectory
-from testbed.rotations import eulers_to_quats
+from testbed.physics.rotations import eulers_to_quats
 
 Array = NDArray[np.float64]
 

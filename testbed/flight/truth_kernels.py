@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from testbed.earth import earth_rate_n, gravity, metres_per_radian, transport_rate_n
-from testbed.rotations import cross, quat_conjugate, quat_multiply, quat_normalize, quat_rotate_inverse
+from testbed.physics.earth import earth_rate_n, gravity, metres_per_radian, transport_rate_n
+from testbed.physics.rotations import cross, quat_conjugate, quat_multiply, quat_normalize, quat_rotate_inverse
 
 GAUSS_NODES = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
 GAUSS_WEIGHTS = np.array([5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0])

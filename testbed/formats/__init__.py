@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import InputError, nearest
+from testbed.base.errors import InputError, nearest
+from testbed.data.records import NavSolution, SensorLog, Trajectory
 from testbed.formats.config import PARTS, RecordingConfig
-from testbed.records import NavSolution, SensorLog, Trajectory
 
 __all__ = ["FORMATS", "Format", "export_log", "export_trajectory", "import_log", "load_recording"]
 
@@ -44,7 +44,7 @@ def import_log(format: str, files: Path | str | Sequence[Path | str], **options:
     ``files``: a folder, or the files of one folder, of which each belongs to the part that its name begins with
     (``imu1.mat``, ``gnss.csv``). ``options``: keys of ``[recording]``. ``csv`` and ``parquet`` mean ``table``.
     """
-    from testbed.schema import validate
+    from testbed.base.schema import validate
 
     kind = "table" if format in ("csv", "parquet") else format
     importers = [name for name, entry in FORMATS.items() if entry.parts]

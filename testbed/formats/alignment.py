@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from testbed import earth
-from testbed.errors import InputError
+from testbed.base.errors import InputError
+from testbed.data.records import Array, GnssFixes, ImuSamples, InitialState, MagSamples, Trajectory
 from testbed.formats.config import AlignmentConfig
 from testbed.formats.kinematics import from_rotvec, multiply
 from testbed.formats.recording import interpolate_motion
-from testbed.records import Array, GnssFixes, ImuSamples, InitialState, MagSamples, Trajectory
-from testbed.rotations import euler_error_matrix, euler_to_quat, quat_to_euler, quats_to_matrices
+from testbed.physics import earth
+from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_to_euler, quats_to_matrices
 
 SLOWEST_COURSE = 5.0
 """m/s: below this the course says little of the heading."""

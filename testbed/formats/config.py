@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from testbed.errors import nearest
-from testbed.schema import Table
+from testbed.base.errors import nearest
+from testbed.base.schema import Table
 from testbed.sensors.registry import SENSORS
 
 PARTS = {

@@ -1,7 +1,7 @@
 """From a ``[recording]`` table to a Recording: read by format, specify the sensors, align, cut to the wanted time.
 
 Specifications come, in this order, from the scenario, from the files, and for a PX4 log from documented defaults.
-SI units and radians; frames as in `testbed.records`.
+SI units and radians; frames as in `testbed.data.records`.
 """
 
 from __future__ import annotations
@@ -13,14 +13,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed import specs
-from testbed.errors import InputError
+from testbed.base.errors import InputError
+from testbed.data import specs
+from testbed.data.records import (
+    Array,
+    BaroSamples,
+    GnssFixes,
+    ImuSamples,
+    InitialState,
+    MagSamples,
+    SensorLog,
+    Trajectory,
+)
+from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 from testbed.formats.alignment import align, cut_before
 from testbed.formats.config import RecordingConfig
 from testbed.formats.recording import Recording, reference_on_grid
-from testbed.records import Array, BaroSamples, GnssFixes, ImuSamples, InitialState, MagSamples, SensorLog, Trajectory
 from testbed.sensors.registry import SENSORS
-from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 
 KINDS: dict[str, type] = {"imu": ImuSpec} | {kind: sensor.spec for kind, sensor in SENSORS.items()}
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed import earth
-from testbed.records import Array
-from testbed.rotations import quats_to_matrices
+from testbed.data.records import Array
+from testbed.physics import earth
+from testbed.physics.rotations import quats_to_matrices
 
 
 def implied_imu(t: Array, lat: Array, h: Array, v_n: Array, q_nb: Array) -> tuple[Array, Array]:

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed import earth
-from testbed.errors import MissingExtra
+from testbed.base.errors import MissingExtra
+from testbed.data.records import Array, NavSolution, Trajectory
 from testbed.formats.recording import interpolate_motion
-from testbed.records import Array, NavSolution, Trajectory
+from testbed.physics import earth
 
 LIMITS = (1.0, 3.0, 10.0, 30.0)
 """m: error classes."""

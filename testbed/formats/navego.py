@@ -18,13 +18,22 @@ from typing import Any
 
 import numpy as np
 
-from testbed import specs
-from testbed.errors import InputError, nearest
+from testbed.base.errors import InputError, nearest
+from testbed.data import specs
+from testbed.data.records import (
+    Array,
+    BaroSamples,
+    GnssFixes,
+    ImuSamples,
+    InitialState,
+    MagSamples,
+    SensorLog,
+    Trajectory,
+)
+from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 from testbed.formats.alignment import REFERENCE_STD, Aligned, cut_before, from_first_fix, reference_at
 from testbed.formats.recording import Recording, check_finite, check_place, check_time, existing, reference_on_grid
-from testbed.records import Array, BaroSamples, GnssFixes, ImuSamples, InitialState, MagSamples, SensorLog, Trajectory
-from testbed.rotations import euler_error_matrix, euler_to_quat, eulers_to_quats
-from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
+from testbed.physics.rotations import euler_error_matrix, euler_to_quat, eulers_to_quats
 
 STRUCTS = ("imu", "gnss", "ref", "mag", "baro")
 _MARKOV_PEAK = TriadSpec(bias_instability=1.0).gauss_markov_sigma()

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from testbed import earth, specs
-from testbed.errors import InputError
-from testbed.records import Array, GnssFixes, ImuSamples, InitialState, SensorLog, Trajectory
-from testbed.rotations import quat_to_euler, quats_to_eulers, quats_to_matrices
-from testbed.specs import TriadSpec
+from testbed.base.errors import InputError
+from testbed.data import specs
+from testbed.data.records import Array, GnssFixes, ImuSamples, InitialState, SensorLog, Trajectory
+from testbed.data.specs import TriadSpec
+from testbed.physics import earth
+from testbed.physics.rotations import quat_to_euler, quats_to_eulers, quats_to_matrices
 
 SMALLEST_STD = 1e-3
 """m and m/s: NaveGo cannot work with a GNSS that states no error at all."""

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from testbed.errors import InputError
+from testbed.base.errors import InputError
+from testbed.data.records import Array, SensorLog, Trajectory
 from testbed.formats.kinematics import conjugate, from_rotvec, implied_imu, multiply, to_rotvec
-from testbed.records import Array, SensorLog, Trajectory
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def interpolate_motion(
     """lat, lon, h, v_n, q_nb at ``grid``: Hermite positions, linear velocities, shortest-arc attitudes."""
     from scipy.interpolate import CubicHermiteSpline
 
-    from testbed import earth
+    from testbed.physics import earth
 
     grid = np.clip(grid, t[0], t[-1])
     rates = earth.position_rates(lat, h, v_n[:, 0], v_n[:, 1], v_n[:, 2])

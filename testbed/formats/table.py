@@ -1,7 +1,7 @@
 """Recorded data as tables: a folder of CSV or Parquet files, with the unit of each column at the end of its name.
 
 Files ``imu``, ``gnss``, ``mag``, ``baro``, ``reference`` (.csv or .parquet); only ``imu`` is required. Columns, in any
-order and any unit that `testbed.formats.column_units` lists (further columns are ignored):
+order and any unit that `testbed.data.column_units` lists (further columns are ignored):
 
 - imu: ``time_s, gyro_x_radps, gyro_y.., gyro_z.., accel_x_mps2, accel_y.., accel_z..`` in b (forward-right-down)
 - gnss: ``time_s, lat_deg, lon_deg, alt_m, v_north_mps, v_east_mps, v_down_mps`` of the antenna, and as an option the
@@ -23,12 +23,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed import specs
-from testbed.errors import InputError, nearest, shown
-from testbed.formats import column_units
+from testbed.base.errors import InputError, nearest, shown
+from testbed.data import column_units, specs
+from testbed.data.records import Array, SensorLog, Trajectory
 from testbed.formats.recording import check_finite, check_place, check_time, existing
-from testbed.records import Array, SensorLog, Trajectory
-from testbed.rotations import eulers_to_quats
+from testbed.physics.rotations import eulers_to_quats
 from testbed.sensors.registry import SENSORS
 
 if TYPE_CHECKING:
@@ -104,7 +103,7 @@ class Tables:
 
 def read_mapping(path: Path) -> dict[str, str | dict[str, str]]:
     """The ``[columns]`` table of a mapping file."""
-    from testbed.schema import read_toml
+    from testbed.base.schema import read_toml
 
     content = read_toml(path)
     columns = content.get("columns")

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from testbed.errors import InputError, MissingExtra
+from testbed.base.errors import InputError, MissingExtra
+from testbed.data.records import Array, BaroSamples, GnssFixes, ImuSamples, MagSamples
+from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 from testbed.formats.config import RecordingConfig
 from testbed.formats.importers import Raw, finish
 from testbed.formats.recording import Recording, check_finite, check_place, check_time, existing
-from testbed.records import Array, BaroSamples, GnssFixes, ImuSamples, MagSamples
-from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 
 IMU_TOPICS, GNSS_TOPICS = ("sensor_combined", "vehicle_imu"), ("vehicle_gps_position", "sensor_gps")
 MAG_TOPICS, BARO_TOPICS = ("vehicle_magnetometer", "sensor_mag"), ("vehicle_air_data", "sensor_baro")

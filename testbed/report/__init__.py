@@ -27,12 +27,12 @@ def render(result_dir: str | Path, svg: bool = True) -> None:
     import os
     from functools import partial
 
-    from testbed.files import as_json
-    from testbed.folders import Folder
-    from testbed.forking import share
+    from testbed.base.child_processes import share
+    from testbed.base.files import as_json
+    from testbed.montecarlo.folders import Folder
+    from testbed.montecarlo.store import KIND
     from testbed.report import figures, html, index, text
     from testbed.report.results import load_result
-    from testbed.store import KIND
 
     preload()  # once, before the work is shared
     load_result(result_dir)  # what cannot be read is refused before the folder is touched

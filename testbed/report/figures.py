@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from testbed.files import write_with
+from testbed.base.files import write_with
 from testbed.report import geometry, innovations
 from testbed.report.headline import headline
 from testbed.report.labels import COLOURS, component_label, short_name

@@ -1,6 +1,6 @@
 """A flight on a local plane, for drawing: east, north and height from degrees, and axis limits that keep the flight in view.
 
-Source: radii of curvature of `testbed.earth` at the first point; good to centimetres per kilometre. Metres.
+Source: radii of curvature of `testbed.physics.earth` at the first point; good to centimetres per kilometre. Metres.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from testbed.earth import principal_radii
+from testbed.physics.earth import principal_radii
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from testbed.checksums import read_json
-from testbed.errors import InputError
-from testbed.folders import MANIFEST, Folder, check_own
+from testbed.base.checksums import read_json
+from testbed.base.errors import InputError
+from testbed.montecarlo.folders import MANIFEST, Folder, check_own
 from testbed.report import html
 from testbed.report.headline import headline
 from testbed.report.labels import verdict_kind

@@ -9,7 +9,7 @@ import shlex
 from collections.abc import Mapping
 from typing import Any
 
-from testbed.errors import InputError
+from testbed.base.errors import InputError
 from testbed.report.results import Result
 
 HIDDEN = {"command", "kind", "identity", "format", "finished", "jobs", "files"}

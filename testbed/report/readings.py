@@ -1,6 +1,6 @@
 """The page of a scenario's readings: per claim a table *reading -> effect with interval -> verdict*, a forest plot, the class.
 
-Reads the folder that `testbed.readings` wrote: ``manifest.json``, ``verdicts.csv`` and ``verdicts-timings.csv``; writes
+Reads the folder that `testbed.montecarlo.readings` wrote: ``manifest.json``, ``verdicts.csv`` and ``verdicts-timings.csv``; writes
 ``report.md``, ``report.html``, ``report.json`` and ``figures/forest-*.png``. Effects in per cent, positive where lower.
 """
 
@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from testbed.csv_text import read_csv
-from testbed.errors import InputError
-from testbed.files import as_json
-from testbed.folders import Folder, read_manifest
-from testbed.readings import COLUMNS, KIND, slug
+from testbed.base.csv_text import read_csv
+from testbed.base.errors import InputError
+from testbed.base.files import as_json
+from testbed.base.schema import validate
+from testbed.montecarlo.folders import Folder, read_manifest
+from testbed.montecarlo.readings import COLUMNS, KIND, slug
 from testbed.report import html
 from testbed.report.figures import WIDTH, Drawing, save
 from testbed.report.labels import COLOURS, percent, verdict_kind, window_label
 from testbed.report.tables import Cell, Column, Table, claim_cells
 from testbed.report.text import markdown_table
-from testbed.schema import validate
 from testbed.scoring.claims import ReadingConfig
 from testbed.scoring.quantities import metric_label
 from testbed.scoring.readings import FAILS, HOLDS, INCONSISTENT, Standing, standing

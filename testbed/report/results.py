@@ -16,10 +16,10 @@ from typing import Any
 
 import pandas as pd
 
-from testbed.checksums import read_json
-from testbed.csv_text import read_csv
-from testbed.errors import InputError
-from testbed.store import Store, open_result, optional_part
+from testbed.base.checksums import read_json
+from testbed.base.csv_text import read_csv
+from testbed.base.errors import InputError
+from testbed.montecarlo.store import Store, open_result, optional_part
 
 CLAIMS = (
     "id text paper_pct measured_pct ci_low ci_high verdict n better than origin margin_pct p_holm median_pct "

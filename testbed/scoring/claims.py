@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from testbed.schema import Table
+from testbed.base.schema import Table
 
 
 class ClaimConfig(Table):

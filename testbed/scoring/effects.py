@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, stdtr
 
-from testbed.records import Array
+from testbed.data.records import Array
 from testbed.scoring.statistics import LEVEL, bootstrap_means, expanded
 
 RUNAWAY_SCORE = 3.5

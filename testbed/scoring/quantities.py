@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class Quantity:
     """An error over time. ``of`` takes the axes' errors (N,9) and the rotation vector (N,3, rad) and gives (N,).
 
-    ``states`` are the error states (`testbed.records.STATE_NAMES`) that it is about: who does not estimate them all is not
+    ``states`` are the error states (`testbed.data.records.STATE_NAMES`) that it is about: who does not estimate them all is not
     scored on it. ``short`` heads a column.
     """
 

@@ -13,8 +13,8 @@ from math import comb
 import numpy as np
 from scipy.special import chdtri, ndtr, stdtr, stdtrit
 
-from testbed.records import Array
-from testbed.streams import stream
+from testbed.base.streams import stream
+from testbed.data.records import Array
 
 DRAWS = 2000
 """Bootstrap resamples. One set of resampled runs serves all cells, so comparisons stay paired."""

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.records import Array
+from testbed.data.records import Array
 from testbed.scoring.effects import Effect, effect
 from testbed.scoring.quantities import TIME_METRIC
 from testbed.scoring.statistics import LEVEL, holm

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from testbed.sensors.draws import VARIED, Draws
 
 if TYPE_CHECKING:
-    from testbed.records import SensorErrors, SensorLog, Trajectory
+    from testbed.data.records import SensorErrors, SensorLog, Trajectory
     from testbed.sensors.config import InitialConfig
     from testbed.sensors.registry import SensorsConfig
 
@@ -42,7 +42,7 @@ def sense_flight(
     What ``vary`` does not name (``noise``, ``turn_on``, ``alignment``, ``outages``) is drawn as in run 0. Raises
     InputError for a configuration that does not fit the flight.
     """
-    from testbed.records import SensorErrors, SensorLog
+    from testbed.data.records import SensorErrors, SensorLog
     from testbed.sensors.imu import motion_of, sense_imu
     from testbed.sensors.initial import draw_initial
     from testbed.sensors.registry import SENSORS
@@ -75,10 +75,10 @@ def static_log(
 
     import numpy as np
 
-    from testbed.earth import earth_rate_n, gravity
-    from testbed.errors import InputError
-    from testbed.records import InitialState, SensorLog
-    from testbed.schema import validate
+    from testbed.base.errors import InputError
+    from testbed.base.schema import validate
+    from testbed.data.records import InitialState, SensorLog
+    from testbed.physics.earth import earth_rate_n, gravity
     from testbed.sensors.config import ImuConfig
     from testbed.sensors.imu import Motion, sense_imu
     from testbed.sensors.initial import SMALLEST_STD

@@ -13,12 +13,12 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from testbed.errors import InputError
-from testbed.records import Array, Samples, Trajectory
+from testbed.base.errors import InputError
+from testbed.data.records import Array, Samples, Trajectory
+from testbed.data.specs import Vector
 from testbed.sensors.config import SensorTable
 from testbed.sensors.draws import Draws
 from testbed.sensors.sensor import Column, Sensor
-from testbed.specs import Vector
 
 COLUMN = "airspeed_mps"
 
@@ -67,7 +67,7 @@ def sense_airspeed(
     config: AirspeedConfig, trajectory: Trajectory, draws: Draws, arm_b: Vector
 ) -> tuple[AirspeedSamples, dict[str, Any]]:
     """Samples, and the drawn scale error. Raises InputError for a motion without air data."""
-    from testbed.interpolate import sample_times
+    from testbed.physics.interpolate import sample_times
 
     if COLUMN not in trajectory.extra:
         raise InputError(

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.errors import InputError
-from testbed.files import write_with
-from testbed.records import Array, SensorLog
+from testbed.base.errors import InputError
+from testbed.base.files import write_with
+from testbed.data.records import Array, SensorLog
+from testbed.data.specs import GAUSS_MARKOV_PEAK, TriadSpec
 from testbed.sensors.allan_fit import Curve, Figures, fit_allan, markov_shape
-from testbed.specs import GAUSS_MARKOV_PEAK, TriadSpec
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,7 +66,7 @@ class _Unit:
 
 
 def _units(triad: str) -> dict[str, _Unit]:
-    from testbed.earth import G0
+    from testbed.physics.earth import G0
 
     deg = 180.0 / math.pi
     if triad == "gyro":

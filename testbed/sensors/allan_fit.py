@@ -21,8 +21,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from testbed.records import Array
-from testbed.specs import GAUSS_MARKOV_PEAK
+from testbed.data.records import Array
+from testbed.data.specs import GAUSS_MARKOV_PEAK
 
 SIGNIFICANT = 4.0
 """Sigmas above zero. The estimate of a variance that rests on four degrees of freedom (what the longest cluster times have)

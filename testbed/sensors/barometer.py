@@ -1,6 +1,6 @@
 """The barometer: static pressure of the standard atmosphere, with bias, drift, noise, limits and resolution.
 
-`testbed.atmosphere`, at the ellipsoidal height. Pressures in Pa.
+`testbed.physics.atmosphere`, at the ellipsoidal height. Pressures in Pa.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from testbed.records import BaroSamples, Trajectory
+from testbed.data.records import BaroSamples, Trajectory
+from testbed.data.specs import BaroSpec, Vector
 from testbed.sensors.config import BaroConfig
 from testbed.sensors.draws import Draws
 from testbed.sensors.sensor import Column, Sensor
-from testbed.specs import BaroSpec, Vector
 
 
 def sense_baro(
     config: BaroConfig, trajectory: Trajectory, draws: Draws, arm_b: Vector
 ) -> tuple[BaroSamples, dict[str, Any]]:
     """Samples, and what was drawn; taken at the reference point of the trajectory."""
-    from testbed.atmosphere import isa_pressure
-    from testbed.interpolate import sample_times, state_at
+    from testbed.physics.atmosphere import isa_pressure
+    from testbed.physics.interpolate import sample_times, state_at
 
     spec = config.spec()
     t = sample_times(trajectory, spec.rate_hz)

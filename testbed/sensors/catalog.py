@@ -1,7 +1,7 @@
 """The catalogue of sensors: data-sheet figures with the unit in the key, turned into the SI specifications.
 
 Figures and their sources stand in ``catalog.toml`` (or a user's file of the same form). Keys end in their unit, where
-``p`` reads "per": ``gyro_arw_dpsqrth`` is °/√h. Results are `testbed.specs` in SI units and radians.
+``p`` reads "per": ``gyro_arw_dpsqrth`` is °/√h. Results are `testbed.data.specs` in SI units and radians.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import InputError, nearest, shown
-from testbed.schema import read_toml
-from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
+from testbed.base.errors import InputError, nearest, shown
+from testbed.base.schema import read_toml
+from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 
 SHIPPED = Path(__file__).with_name("catalog.toml")
 SPECS: dict[str, type] = {"imu": ImuSpec, "gnss": GnssSpec, "mag": MagSpec, "baro": BaroSpec}
@@ -62,7 +62,7 @@ def entry(kind: str, model: str, file: Path | None = None) -> dict[str, Any]:
 
 
 def specification(kind: str, model: str, overrides: Mapping[str, Any] | None = None, file: Path | None = None) -> Any:
-    """The SI specification (a class of `testbed.specs`) of a catalogue entry with some figures replaced.
+    """The SI specification (a class of `testbed.data.specs`) of a catalogue entry with some figures replaced.
 
     ``overrides`` uses the catalogue's keys. A figure replaces the entry's whatever unit either is given in.
     """
@@ -165,7 +165,7 @@ def _finite(value: Any, where: str) -> float:
 
 
 def _triad_keys(triad: str) -> dict[str, tuple[str, float]]:
-    from testbed.earth import G0
+    from testbed.physics.earth import G0
 
     if triad == "gyro":
         units = {"dps": _DEG, "dph": _DEG / 3600.0, "radps": 1.0}

@@ -12,10 +12,10 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from testbed.errors import InputError, nearest
-from testbed.schema import Table
+from testbed.base.errors import InputError, nearest
+from testbed.base.schema import Table
+from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 from testbed.sensors import catalog
-from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]

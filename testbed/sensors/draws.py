@@ -1,6 +1,6 @@
 """Random streams of the sensors: one per step of a sensor, so that no step changes what another one draws.
 
-Streams are those of `testbed.streams`; a step that a Monte Carlo does not vary draws in every run what run 0 draws.
+Streams are those of `testbed.base.streams`; a step that a Monte Carlo does not vary draws in every run what run 0 draws.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.streams import stream
+from testbed.base.streams import stream
 
 VARIED = ("noise", "turn_on", "alignment", "outages")
 """What may differ between the runs of a Monte Carlo."""

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.columns import columns, stack
-from testbed.errors import InputError
-from testbed.records import Array, GnssFixes, Trajectory
+from testbed.base.errors import InputError
+from testbed.data.columns import columns, stack
+from testbed.data.records import Array, GnssFixes, Trajectory
+from testbed.data.specs import GnssSpec, Vector
 from testbed.sensors.config import GnssConfig, OutlierBursts, RandomOutages
 from testbed.sensors.draws import Draws
 from testbed.sensors.sensor import Column, Sensor
-from testbed.specs import GnssSpec, Vector
 
 Windows = tuple[tuple[float, float], ...]
 _SNAP_S = 1e-9
@@ -29,8 +29,8 @@ def sense_gnss(
     config: GnssConfig, trajectory: Trajectory, draws: Draws, arm_b: Vector
 ) -> tuple[GnssFixes, dict[str, Any]]:
     """The fixes, and what was drawn. Every fix draws its errors whether it is lost or not."""
-    from testbed.earth import metres_per_radian
-    from testbed.interpolate import point_state
+    from testbed.physics.earth import metres_per_radian
+    from testbed.physics.interpolate import point_state
 
     spec = config.spec()
     outages = outage_windows(config, trajectory, draws)

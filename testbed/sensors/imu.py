@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from testbed.earth import G0
-from testbed.errors import InputError
-from testbed.records import Array, ImuSamples, Trajectory
+from testbed.base.errors import InputError
+from testbed.data.records import Array, ImuSamples, Trajectory
+from testbed.data.specs import ImuSpec, TriadSpec
+from testbed.physics.earth import G0
 from testbed.sensors import kernels, slow_bias, vibration
 from testbed.sensors.config import ImuConfig
 from testbed.sensors.draws import Draws
-from testbed.specs import ImuSpec, TriadSpec
 
 BLOCK = 4096
 """Rows that are worked on at a time."""
@@ -125,7 +125,7 @@ def _misalignment_matrix(spec: TriadSpec, rng: np.random.Generator) -> Array:
 
     x of the triad is the reference; y leans to x, z to x and y, each pair by an angle of its own.
     """
-    from testbed.rotations import quat_to_matrix, rotvec_to_quat
+    from testbed.physics.rotations import quat_to_matrix, rotvec_to_quat
 
     turn, lean = spec.misalignment * rng.standard_normal(3), spec.nonorthogonality * rng.standard_normal(3)
     axes = np.array([[1.0, 0.0, 0.0], [lean[0], 1.0, 0.0], [lean[1], lean[2], 1.0]])

@@ -1,7 +1,7 @@
 """The state in which a filter starts: truth plus the alignment errors of the scenario, and their standard deviations.
 
 Attitude errors are rotation vectors in n (rad): ``roll_pitch_deg`` about north and east, ``yaw_deg`` about down. Biases
-are as `testbed.records` defines them: measured = true + bias.
+are as `testbed.data.records` defines them: measured = true + bias.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import math
 
 import numpy as np
 
-from testbed.earth import G0, metres_per_radian
-from testbed.interpolate import point_state
-from testbed.records import Array, InitialState, Trajectory
-from testbed.rotations import quat_multiply, rotvec_to_quat
+from testbed.data.records import Array, InitialState, Trajectory
+from testbed.data.specs import ImuSpec, TriadSpec
+from testbed.physics.earth import G0, metres_per_radian
+from testbed.physics.interpolate import point_state
+from testbed.physics.rotations import quat_multiply, rotvec_to_quat
 from testbed.sensors.config import InitialConfig
 from testbed.sensors.draws import Draws
-from testbed.specs import ImuSpec, TriadSpec
 
 SMALLEST_STD = np.repeat([1e-4, 1e-5, 1e-7, 1e-8, 1e-10], 3)
 """Of perfect knowledge (m, m/s, rad, m/s², rad/s): a covariance must not be singular."""

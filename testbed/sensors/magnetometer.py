@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from testbed.errors import InputError
-from testbed.records import Array, MagSamples, Trajectory
+from testbed.base.errors import InputError
+from testbed.data.records import Array, MagSamples, Trajectory
+from testbed.data.specs import MagSpec, Vector
 from testbed.sensors.config import MagConfig
 from testbed.sensors.draws import Draws
 from testbed.sensors.sensor import Column, Sensor
-from testbed.specs import MagSpec, Vector
 
 TRACK_INTERVAL_S = 60.0
 """Between the points of the flight at which the field model is evaluated: over 10 km the field is linear to a few nT."""
@@ -43,8 +43,8 @@ def sense_mag(
     config: MagConfig, trajectory: Trajectory, draws: Draws, arm_b: Vector
 ) -> tuple[MagSamples, dict[str, Any]]:
     """Samples, and what was drawn; the field is the same all over the vehicle."""
-    from testbed.interpolate import sample_times, state_at
-    from testbed.rotations import quats_to_matrices
+    from testbed.physics.interpolate import sample_times, state_at
+    from testbed.physics.rotations import quats_to_matrices
 
     spec = config.spec()
     t = sample_times(trajectory, spec.rate_hz)
@@ -74,7 +74,7 @@ def _along_track(t: Array, lat: Array, lon: Array, h: Array, year: float) -> Arr
 
 def _iron(spec: MagSpec, draws: Draws) -> tuple[Array, Array]:
     """Matrix of soft iron and misalignment, and the hard iron vector."""
-    from testbed.rotations import quat_to_matrix, rotvec_to_quat
+    from testbed.physics.rotations import quat_to_matrix, rotvec_to_quat
 
     soft = np.eye(3) + spec.soft_iron * draws.turn_on("mag.soft_iron").standard_normal((3, 3))
     turn = spec.misalignment * draws.turn_on("mag.misalignment").standard_normal(3)

@@ -15,12 +15,12 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from testbed.errors import InputError
-from testbed.records import Array, Samples, Trajectory
+from testbed.base.errors import InputError
+from testbed.data.records import Array, Samples, Trajectory
+from testbed.data.specs import Vector
 from testbed.sensors.config import SensorTable, Triple
 from testbed.sensors.draws import Draws
 from testbed.sensors.sensor import Column, Sensor
-from testbed.specs import Vector
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def sense_odometer(
     config: OdometerConfig, trajectory: Trajectory, draws: Draws, arm_b: Vector
 ) -> tuple[OdometerSamples, dict[str, Any]]:
     """Samples, and the drawn scale error and mounting angles (up, sideways; rad)."""
-    from testbed.interpolate import sample_times
+    from testbed.physics.interpolate import sample_times
 
     spec = config.spec()
     ends = sample_times(trajectory, spec.rate_hz)
@@ -105,8 +105,8 @@ def _way(trajectory: Trajectory, t: Array, arm_b: Array, mount: Array) -> Array:
     """Way (m) that the wheel has rolled at the times ``t``: integral of its speed along the rolling direction."""
     from scipy.interpolate import CubicSpline
 
-    from testbed.interpolate import point_state
-    from testbed.rotations import quat_to_matrix, quats_to_matrices, rotvec_to_quat
+    from testbed.physics.interpolate import point_state
+    from testbed.physics.rotations import quat_to_matrix, quats_to_matrices, rotvec_to_quat
 
     _, _, _, v_n = point_state(trajectory, trajectory.t, arm_b)
     direction_b = np.array(quat_to_matrix(rotvec_to_quat(np.array([0.0, mount[0], mount[1]]))))[:, 0]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field, create_model
 
-from testbed.schema import Table
+from testbed.base.schema import Table
 from testbed.sensors import catalog
 from testbed.sensors.config import BaroConfig, GnssConfig, ImuConfig, MagConfig
 from testbed.sensors.sensor import Sensor

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
+    from testbed.data.specs import Vector
     from testbed.sensors.config import SensorTable
     from testbed.sensors.draws import Draws
-    from testbed.specs import Vector
 
 
 class Sense(Protocol):
@@ -31,7 +31,7 @@ class Sense(Protocol):
 class Column:
     """A field of the samples in tables: its name with the unit last; a vector's with ``{}`` for each of ``axes``.
 
-    ``quantity`` is one of `testbed.formats.column_units.UNITS`.
+    ``quantity`` is one of `testbed.data.column_units.UNITS`.
     """
 
     field: str
@@ -57,7 +57,7 @@ class Sensor:
     ``kind`` names the section ``[sensors.KIND]``, ``log.KIND`` and the catalogue's tables. ``spec`` is its specification,
     a dataclass in SI units whose defaults are the ideal sensor; ``figures`` maps each catalogue key, with the unit at its
     end, to the field and the factor to SI; ``catalogue`` holds entries beside those of ``catalog.toml``. ``samples`` is a
-    subclass of `testbed.records.Samples`, ``rows`` names the specification's fields in the report: text, factor, unit.
+    subclass of `testbed.data.records.Samples`, ``rows`` names the specification's fields in the report: text, factor, unit.
     """
 
     kind: str

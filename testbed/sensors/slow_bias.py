@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from testbed.records import Array
+from testbed.data.records import Array
+from testbed.data.specs import TriadSpec
 from testbed.sensors import kernels
 from testbed.sensors.config import ImuConfig, Temperature
 from testbed.sensors.draws import Draws
-from testbed.specs import TriadSpec
 
 KNOT_INTERVAL_S = 0.1
 KNOTS_PER_CORRELATION_TIME = 100

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.errors import InputError
-from testbed.records import Array
+from testbed.base.errors import InputError
+from testbed.data.records import Array
 from testbed.sensors.config import Tone, Vibration
 from testbed.sensors.draws import Draws
 

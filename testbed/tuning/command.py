@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from testbed.csv_text import read_csv
-from testbed.errors import InputError, MissingExtra, tell_user
-from testbed.resources import has_package
+from testbed.base.csv_text import read_csv
+from testbed.base.errors import InputError, MissingExtra, tell_user
+from testbed.base.resources import has_package
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from testbed.errors import InputError, nearest
+from testbed.base.errors import InputError, nearest
+from testbed.base.schema import Table, validate
 from testbed.scenario import EstimatorConfig, Scenario, set_key
-from testbed.schema import Table, validate
 from testbed.scoring.quantities import AXES, metric_names
 from testbed.tuning.search import PAPER, algorithm
 from testbed.tuning.space import AxisConfig

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from testbed.records import Array
+from testbed.data.records import Array
 from testbed.tuning.search import ALGORITHMS, Bounds, make_search
 
 if TYPE_CHECKING:

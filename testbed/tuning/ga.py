@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.records import Array
+from testbed.data.records import Array
 from testbed.tuning.search import Bounds, Steps
 
 

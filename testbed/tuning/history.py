@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from testbed.checksums import DamagedError, sealed_parquet, unsealed
-from testbed.errors import InputError
-from testbed.files import write_atomic
-from testbed.records import Array
+from testbed.base.checksums import DamagedError, sealed_parquet, unsealed
+from testbed.base.errors import InputError
+from testbed.base.files import write_atomic
+from testbed.data.records import Array
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from testbed.records import Array
+from testbed.data.records import Array
 from testbed.tuning.search import Best, Bounds, Steps
 
 

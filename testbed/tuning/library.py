@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from testbed.errors import MissingExtra
-from testbed.records import Array
+from testbed.base.errors import MissingExtra
+from testbed.data.records import Array
 from testbed.tuning.search import Bounds, Steps
 
 CMA_ES = "cma-es"

@@ -1,6 +1,6 @@
 """The objective of a search: a population of candidates in, one value for each out; sensing is done once.
 
-Metrics as `testbed.metrics` names them (m, m/s, degrees), summed over metrics and cases and averaged over runs. Candidates and
+Metrics as `testbed.scoring.metrics` names them (m, m/s, degrees), summed over metrics and cases and averaged over runs. Candidates and
 recordings are spread over threads where the estimator releases Python's lock (a method ``searcher`` of the class that
 defines ``run``, whose result may take ``batch_size`` candidates at once by a method ``batch``), else over processes.
 """
@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 
 from testbed import pipeline
-from testbed.errors import InputError
-from testbed.metrics import divergence, error_series, score
-from testbed.records import Array, Innovations, SensorErrors, SensorLog, Trajectory
-from testbed.registry import estimator_class, fast_path, load_plugin, make_estimator
+from testbed.base.errors import InputError
+from testbed.data.records import Array, Innovations, SensorErrors, SensorLog, Trajectory
+from testbed.data.registry import estimator_class, fast_path, load_plugin, make_estimator
 from testbed.scenario import Scenario
+from testbed.scenario.windows import Window
+from testbed.scoring.metrics import divergence, error_series, score
 from testbed.tuning.config import RMSE_METRICS, TuneConfig, case_scenario, tuned_entry
 from testbed.tuning.space import Space, make_space
-from testbed.windows import Window
 
 DEVIANCE = "innovation_deviance"
 """Name of -2 log likelihood of the innovations per fix, up to a constant."""

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.files import write_with
-from testbed.metrics import error_series
-from testbed.registry import make_estimator
+from testbed.base.files import write_with
+from testbed.data.registry import make_estimator
+from testbed.scoring.metrics import error_series
 from testbed.scoring.quantities import AXES, axis_title
 from testbed.tuning.objective import Recording
 

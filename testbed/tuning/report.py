@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.csv_text import csv_text, read_csv
-from testbed.errors import InputError
-from testbed.files import as_json, write_atomic
-from testbed.folders import Folder
-from testbed.schema import read_toml
+from testbed.base.csv_text import csv_text, read_csv
+from testbed.base.errors import InputError
+from testbed.base.files import as_json, write_atomic
+from testbed.base.schema import read_toml
+from testbed.montecarlo.folders import Folder
 from testbed.tuning import tables
 from testbed.tuning.config import DATA_SHEET, INNOVATIONS, tuned_entry
 from testbed.tuning.objective import record, scenario_space

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from testbed.errors import InputError, nearest
-from testbed.records import Array
-from testbed.streams import stream
+from testbed.base.errors import InputError, nearest
+from testbed.base.streams import stream
+from testbed.data.records import Array
 
 Steps = Generator[Array, Array, None]
 """Candidates (n,d) out, objective values (n,) in."""

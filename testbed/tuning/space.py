@@ -14,10 +14,10 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from testbed.errors import InputError, nearest
-from testbed.records import Array
-from testbed.registry import estimator_class, parameter_names
-from testbed.schema import Table
+from testbed.base.errors import InputError, nearest
+from testbed.base.schema import Table
+from testbed.data.records import Array
+from testbed.data.registry import estimator_class, parameter_names
 from testbed.tuning.search import Bounds
 
 

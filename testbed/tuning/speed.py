@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.errors import InputError
-from testbed.files import write_atomic
-from testbed.registry import estimator_class, fast_path, make_estimator
+from testbed.base.errors import InputError
+from testbed.base.files import write_atomic
+from testbed.data.registry import estimator_class, fast_path, make_estimator
 from testbed.scenario import Scenario
 from testbed.tuning.config import tune_config, tuned_entry
 from testbed.tuning.objective import Objective, Task, record, scenario_space

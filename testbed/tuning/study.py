@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from testbed.csv_text import read_csv
-from testbed.errors import InputError
-from testbed.folders import Folder
+from testbed.base.csv_text import read_csv
+from testbed.base.errors import InputError
+from testbed.base.schema import validate
+from testbed.montecarlo.folders import Folder
 from testbed.scenario import Scenario, load_scenario
-from testbed.schema import validate
 from testbed.tuning import tables
 from testbed.tuning.config import TuneConfig
 from testbed.tuning.tune import read_manifest

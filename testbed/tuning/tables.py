@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.csv_text import csv_text
-from testbed.folders import Folder
-from testbed.records import Array
+from testbed.base.csv_text import csv_text
+from testbed.base.schema import read_toml
+from testbed.data.records import Array
+from testbed.montecarlo.folders import Folder
 from testbed.scenario import Scenario
-from testbed.schema import read_toml
 from testbed.scoring.effects import effect
 from testbed.scoring.quantities import MAIN, NIS
 from testbed.tuning.config import DATA_SHEET, RMSE_METRICS, Task, TuneConfig, tuned_entry
@@ -103,8 +103,8 @@ def _scores(
 
 def gnss_errors(recording: Recording) -> dict[str, float]:
     """RMSE of the fixes themselves against truth (without lever arm)."""
-    from testbed import earth
-    from testbed.metrics import truth_at
+    from testbed.physics import earth
+    from testbed.scoring.metrics import truth_at
 
     gnss, truth = recording.log.gnss, recording.trajectory
     if gnss is None or len(gnss.t) == 0 or any(gnss.spec.lever_arm_b):

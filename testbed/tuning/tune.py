@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from testbed import folders
-from testbed.checksums import DamagedError
-from testbed.errors import InputError, TestbedError, nearest
-from testbed.folders import Folder, check_own
-from testbed.registry import load_plugin
+from testbed.base.checksums import DamagedError
+from testbed.base.errors import InputError, TestbedError, nearest
+from testbed.base.schema import dump_toml
+from testbed.data.registry import load_plugin
+from testbed.montecarlo import folders
+from testbed.montecarlo.folders import Folder, check_own
 from testbed.scenario import Scenario
-from testbed.schema import dump_toml
 from testbed.tuning.config import Task, TuneConfig, tasks_of, tune_config, tuned_entry
 from testbed.tuning.history import AGAIN, History
 from testbed.tuning.objective import Objective, make_objective, record, scenario_space
@@ -313,7 +313,7 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 
 def _manifest(folder: Folder, scenario: Scenario, config: TuneConfig, finished: bool) -> None:
     import testbed
-    from testbed.runner import git_revision
+    from testbed.montecarlo.runner import git_revision
 
     folder.save(
         kind=KIND,

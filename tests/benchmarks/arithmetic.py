@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from testbed.rotations import quat_multiply, quat_rotate, rotvec_to_quat
+from testbed.physics.rotations import quat_multiply, quat_rotate, rotvec_to_quat
 
 
 @njit(cache=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from testbed.records import SensorLog
+from testbed.data.records import SensorLog
 
 SEMI_MAJOR, ECCENTRICITY_2, EARTH_RATE = 6378137.0, 6.69437999014e-3, 7.292115e-5
 
@@ -68,8 +68,8 @@ def filterpy_ukf(log: SensorLog, samples: int) -> np.ndarray:
     """
     from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
 
-    from estimators.direct_ukf import DirectUkf
-    from estimators.motion_models import Step, add_process_noise, advance, transition
+    from estimators.methods.direct_ukf import DirectUkf
+    from estimators.methods.motion_models import Step, add_process_noise, advance, transition
 
     task = DirectUkf().problem(log)
     out, corrections, inputs = np.empty(15), np.zeros(6), task.inputs

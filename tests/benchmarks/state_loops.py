@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from estimators.core.update import update
-from estimators.ukf_kernels import sigma_points, unscented_moments
+from estimators.methods.ukf_kernels import sigma_points, unscented_moments
 
 
 @njit(cache=True)

@@ -24,7 +24,7 @@ def log():
 @pytest.mark.benchmark(group="attitude filters, 50 Hz")
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_bench_ahrs(benchmark, log, name):
-    from testbed.registry import make_estimator
+    from testbed.data.registry import make_estimator
 
     if name not in ("ahrs-kf", "ahrs-lstm"):
         pytest.importorskip("ahrs")

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.direct import DirectEkf, Rstekf, Stekf
-from estimators.direct_ukf import DirectUkf
-from estimators.imm import ImmEkf, ImmRstekf
-from estimators.indirect_kf import IndirectKf
+from estimators.methods.direct import DirectEkf, Rstekf, Stekf
+from estimators.methods.direct_ukf import DirectUkf
+from estimators.methods.imm import ImmEkf, ImmRstekf
+from estimators.methods.indirect_kf import IndirectKf
 from tests.benchmarks.arithmetic import sigma_point_sums, strapdown_steps, triple_products
 from tests.benchmarks.python_peers import filterpy_ukf
 from tests.synthetic import sensor_log, weaving_flight

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.indirect_kf import IndirectKf
-from estimators.ins import Ins
-from testbed.records import GnssFixes, ImuSamples, InitialState, NavSolution, SensorLog, Trajectory
-from testbed.rotations import euler_to_quat
-from testbed.specs import GnssSpec, ImuSpec, TriadSpec
+from estimators.methods.indirect_kf import IndirectKf
+from estimators.methods.ins import Ins
+from testbed.data.records import GnssFixes, ImuSamples, InitialState, NavSolution, SensorLog, Trajectory
+from testbed.data.specs import GnssSpec, ImuSpec, TriadSpec
+from testbed.physics.rotations import euler_to_quat
 from tests.benchmarks.arithmetic import strapdown_steps, triple_products
 from tests.benchmarks.python_peers import free_integration
 
@@ -58,7 +58,7 @@ class TestStrapdown:
         pytest.importorskip("pyins")
         from pyins.strapdown import Integrator
 
-        from estimators.pyins_peer import imu_increments, initial_pva
+        from estimators.peers.pyins_peer import imu_increments, initial_pva
 
         pva, increments = initial_pva(log), imu_increments(log)
         benchmark.extra_info["samples"] = SAMPLES
@@ -95,7 +95,7 @@ class TestIndirect:
     def test_bench_python_ins(self, benchmark, log):
         """The peer propagates its covariance at 10 Hz only."""
         pytest.importorskip("pyins")
-        from estimators.pyins_peer import PyIns
+        from estimators.peers.pyins_peer import PyIns
 
         benchmark.extra_info["samples"] = SAMPLES // 10
         benchmark.pedantic(PyIns().run, (shortened(log, SAMPLES // 10),), rounds=3)

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import pytest
 
-from estimators.direct import DirectEkf
-from estimators.direct_ukf import DirectUkf
-from estimators.narx_aiding import Nnakf, Nnckf
+from estimators.learning.narx_aiding import Nnakf, Nnckf
+from estimators.methods.direct import DirectEkf
+from estimators.methods.direct_ukf import DirectUkf
 from tests.synthetic import sensor_log, weaving_flight
 
 ESTIMATORS = {

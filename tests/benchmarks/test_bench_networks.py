@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.networks import mlp_kernels
-from estimators.networks.levenberg_marquardt import Training, train
-from estimators.networks.mlp import new_mlp
-from estimators.networks.narx import train_narx
+from estimators.learning.networks import mlp_kernels
+from estimators.learning.networks.levenberg_marquardt import Training, train
+from estimators.learning.networks.mlp import new_mlp
+from estimators.learning.networks.narx import train_narx
 from testbed.features import lag_curve, rank_mrmr
 from tests.benchmarks.arithmetic import normal_equations, triple_products
 from tests.synthetic import sensor_log, weaving_flight
@@ -92,8 +92,8 @@ def test_lag_curve_2000_samples(benchmark):
 @pytest.mark.benchmark(group="150 s log at 100 Hz")
 @pytest.mark.parametrize("method", ["lkf9", "ann", "kfann"])
 def test_whole_log(benchmark, method):
-    from estimators.kfann import Ann, Kfann
-    from estimators.lkf9 import Lkf9
+    from estimators.learning.kfann import Ann, Kfann
+    from estimators.methods.lkf9 import Lkf9
 
     log = sensor_log(weaving_flight(), 1, ((80.0, 110.0),), gyro_bias=1e-3)
     benchmark.extra_info["samples"] = len(log.imu.t)

@@ -15,10 +15,11 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 pytest.importorskip("pytest_benchmark")
 
-from testbed import metrics, store, units
-from testbed.records import STATE_NAMES, NavSolution, Trajectory
-from testbed.scoring import effects, statistics
-from testbed.windows import Window
+from testbed.data.records import STATE_NAMES, NavSolution, Trajectory
+from testbed.montecarlo import store
+from testbed.montecarlo import work_unit as units
+from testbed.scenario.windows import Window
+from testbed.scoring import effects, metrics, statistics
 
 SAMPLES = 15_000
 
@@ -100,8 +101,8 @@ def test_paired_improvement_of_1000_runs(benchmark):
 def test_unit_of_the_quickstart(benchmark, what):
     """One run of five estimators: sensing, estimating, scoring and encoding; and the estimators by themselves."""
     from testbed import pipeline
-    from testbed.executors import pack
-    from testbed.registry import make_estimator
+    from testbed.data.registry import make_estimator
+    from testbed.montecarlo.executors import pack
     from testbed.scenario import load_scenario
 
     scenario = load_scenario("quickstart")
@@ -134,8 +135,8 @@ def test_write_the_bytes_of_15000_samples(benchmark, flight, tmp_path):
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
+    from testbed.montecarlo.runner import run
     from testbed.report.results import load_result
-    from testbed.runner import run
     from testbed.scenario import load_scenario
 
     out = tmp_path_factory.mktemp("report") / "quickstart"

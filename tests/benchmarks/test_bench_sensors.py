@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from testbed.records import Trajectory
-from testbed.schema import validate
+from testbed.base.schema import validate
+from testbed.data.records import Trajectory
 from testbed.sensors import sense_flight, static_log
 from testbed.sensors.config import InitialConfig
 from testbed.sensors.registry import SensorsConfig

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from estimators.core.lanes import WIDTH
-from estimators.indirect_kf import IndirectKf
+from estimators.methods.indirect_kf import IndirectKf
 from testbed.scenario import load_scenario
 from testbed.tuning.config import tune_config
 from testbed.tuning.objective import make_objective, record

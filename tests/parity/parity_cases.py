@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from parity_logs import BARO_SIGMA, FIELD_N, GNSS_MARKOV, GNSS_SIGMA, MAG_SIGMA, NOISE, PLANS, A, Array, Plan
 
-from testbed.records import (
+from testbed.data.records import (
     STATE_NAMES,
     BaroSamples,
     GnssFixes,
@@ -23,9 +23,9 @@ from testbed.records import (
     SensorLog,
     Trajectory,
 )
-from testbed.registry import make_estimator
-from testbed.rotations import quats_to_eulers
-from testbed.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
+from testbed.data.registry import make_estimator
+from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
+from testbed.physics.rotations import quats_to_eulers
 
 ROWS = 20
 """Of state and sigma, spread over the run."""

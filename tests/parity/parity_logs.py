@@ -195,7 +195,7 @@ def imu_times(plan: Plan) -> Array:
 
 
 def truth(plan: Plan) -> dict[str, Array]:
-    """Columns of a `testbed.records.Trajectory` at the start and all IMU times; means as `recording` takes them."""
+    """Columns of a `testbed.data.records.Trajectory` at the start and all IMU times; means as `recording` takes them."""
     t = imu_times(plan)
     at, (f_b, w_ib_b) = motion(plan, t), _means(plan, t)
     means = {"f_b": np.vstack([f_b[:1], f_b]), "w_ib_b": np.vstack([w_ib_b[:1], w_ib_b])}

@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed import earth, pipeline
-from testbed.records import (
+from testbed import pipeline
+from testbed.base.streams import stream
+from testbed.data.records import (
     STATE_NAMES,
     GnssFixes,
     ImuSamples,
@@ -26,7 +27,7 @@ from testbed.records import (
     SensorLog,
     Trajectory,
 )
-from testbed.streams import stream
+from testbed.physics import earth
 
 DURATION_S, RATE_HZ, SPEED_MPS = 60.0, 10.0, 50.0
 

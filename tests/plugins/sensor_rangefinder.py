@@ -12,11 +12,11 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from testbed.records import Array, Samples, Trajectory
+from testbed.data.records import Array, Samples, Trajectory
+from testbed.data.specs import Vector
 from testbed.sensors.config import SensorTable
 from testbed.sensors.draws import Draws
 from testbed.sensors.sensor import Column, Sensor
-from testbed.specs import Vector
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class RangefinderSamples(Samples):
 def sense(
     config: RangefinderConfig, trajectory: Trajectory, draws: Draws, arm_b: Vector
 ) -> tuple[RangefinderSamples, dict[str, Any]]:
-    from testbed.interpolate import sample_times, state_at
-    from testbed.rotations import quats_to_matrices
+    from testbed.physics.interpolate import sample_times, state_at
+    from testbed.physics.rotations import quats_to_matrices
 
     spec = config._figures()
     t = sample_times(trajectory, spec.rate_hz)

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from testbed.records import Innovations, NavSolution, SensorLog
-from testbed.registry import make_estimator
+from testbed.data.records import Innovations, NavSolution, SensorLog
+from testbed.data.registry import make_estimator
 
 
 class TwoAidings:

@@ -4,7 +4,6 @@ It must go on working for one version; see test_plugins_of_0_1.py. Truth plus 1 
 """
 
 import numpy as np
-
 from testbed.earth import metres_per_radian
 from testbed.records import Innovations, NavSolution, SensorLog
 

@@ -6,7 +6,6 @@ It must go on working for one version; see test_plugins_of_0_1.py.
 from dataclasses import dataclass
 
 import numpy as np
-
 from estimators.strapdown import integrate
 from testbed.errors import InputError
 from testbed.records import NavSolution, SensorLog

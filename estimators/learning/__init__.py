@@ -1,0 +1,1 @@
+"""Estimators that learn, their networks and shipped weights."""

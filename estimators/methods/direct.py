@@ -1,0 +1,254 @@
+"""`direct-ekf`, `stekf`, `rstekf`: loosely coupled INS/GNSS by 15-state total-state extended Kalman filters.
+
+The IMM-RSTEKF paper (2023) with the accelerated motion model alone; steps in `direct_kernels`. Inside: position in
+metres about the start, Euler angles (|pitch| below about 85°); at the edges the bench's conventions. SI, radians, NED.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.aiding.gnss import MINIMUM_STD, require_gnss
+from estimators.blocks.imu import noise_model
+from estimators.core.composition import SNAPSHOT_INTERVAL_S
+from estimators.core.filter import Recording
+from estimators.core.strong_tracking import FILTERS
+from estimators.core.timeline import Timeline, make_timeline, walk
+from estimators.methods.direct_kernels import MEASUREMENTS, Ekf, Inputs, Tracking, make_work
+from estimators.methods.motion_models import ACCELERATED, Motion, Setting
+from testbed.base.errors import InputError
+from testbed.data.records import STATE_NAMES, InitialState, Innovations, NavSolution, SensorLog
+from testbed.physics import earth
+from testbed.physics.rotations import euler_error_matrix, eulers_to_quats, quat_to_euler, wrap
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DirectFilter:
+    """What every direct filter declares: scales of the specification's standard deviations (1 is the data sheet)."""
+
+    accel_noise_scale: float = 1.0
+    gyro_noise_scale: float = 1.0
+    accel_bias_scale: float = 1.0
+    gyro_bias_scale: float = 1.0
+    position_std_scale: float = 1.0
+    velocity_std_scale: float = 1.0
+
+    name: ClassVar[str] = "direct"
+    parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = {
+        "accel_noise_scale": (1e-3, 1e3, "log"),
+        "gyro_noise_scale": (1e-3, 1e3, "log"),
+        "accel_bias_scale": (1e-3, 1e3, "log"),
+        "gyro_bias_scale": (1e-3, 1e3, "log"),
+        "position_std_scale": (1e-3, 1e3, "log"),
+        "velocity_std_scale": (1e-3, 1e3, "log"),
+    }
+
+    def __post_init__(self) -> None:
+        for key, (low, high, _) in self.parameter_space.items():
+            check_range(self.name, key, getattr(self, key), low, high)
+
+    def problem(self, log: SensorLog) -> DirectProblem:
+        """The log in the filters' own coordinates, with Q and R scaled as declared."""
+        scales = (self.accel_noise_scale, self.gyro_noise_scale, self.accel_bias_scale, self.gyro_bias_scale)
+        return DirectProblem.of(log, self.name, scales, (self.position_std_scale, self.velocity_std_scale))
+
+
+@dataclass(frozen=True)
+class DirectEkf(DirectFilter):
+    """Extended Kalman filter; prediction at every IMU sample, GNSS at its own time."""
+
+    name: ClassVar[str] = "direct-ekf"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
+    filter_name: ClassVar[str] = "ekf"
+
+    def tracking(self) -> tuple[float, float]:
+        """(rho, chi-square threshold) of the strong-tracking update: unused by the plain filter."""
+        return 1.0, np.inf
+
+    def run(self, log: SensorLog) -> NavSolution:
+        """Filter the log. Raises InputError when it has no GNSS."""
+        task = self.problem(log)
+        model, line = make_ekf(task, self.filter_name, *self.tracking()), task.timeline()
+        walk(line, model, len(task.t))
+        used = int(line.place[1])
+        extras = {"test_statistic": (task.gnss_t[:used], model.theta[:used])}
+        if self.filter_name != "ekf":
+            extras["fading_factor"] = (task.gnss_t[:used], task.keep.fading[:used])
+        return task.solution(used, extras)
+
+
+@dataclass(frozen=True)
+class Stekf(DirectEkf):
+    """Strong-tracking EKF: the covariance is faded at every fix whose smoothed innovations exceed the prediction."""
+
+    forgetting: float = 0.95
+    """rho of the paper: weight of the past innovations."""
+
+    name: ClassVar[str] = "stekf"
+    filter_name: ClassVar[str] = "stekf"
+    parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = DirectFilter.parameter_space | {
+        "forgetting": (0.0, 1.0, "linear")
+    }
+
+    def tracking(self) -> tuple[float, float]:
+        return self.forgetting, np.inf
+
+
+@dataclass(frozen=True)
+class Rstekf(Stekf):
+    """Refined strong-tracking EKF: fades only when the chi-square test of the innovation fails."""
+
+    significance: float = 0.05
+    """alpha of the test with 6 degrees of freedom: 0.05 is a threshold of 12.592; 0 never fades."""
+
+    name: ClassVar[str] = "rstekf"
+    filter_name: ClassVar[str] = "rstekf"
+    parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = Stekf.parameter_space | {
+        "significance": (0.0, 1.0, "linear")
+    }
+
+    def tracking(self) -> tuple[float, float]:
+        return self.forgetting, chi_square_threshold(self.significance)
+
+
+@dataclass(frozen=True)
+class DirectProblem:
+    """A log in the coordinates of the direct filters, and room for what a run leaves behind."""
+
+    start: float
+    t: Array
+    """(N,) IMU times."""
+    gnss_t: Array
+    """(M,) times that the fixes describe."""
+    inputs: Inputs
+    x: Array
+    """(15,) where a filter starts, and ``p`` (15,15)."""
+    p: Array
+    motion: Motion
+    """Of the accelerated model."""
+    reference: tuple[float, float, float]
+    keep: Recording
+
+    @classmethod
+    def of(
+        cls, log: SensorLog, name: str, noise_scales: tuple[float, ...], std_scales: tuple[float, ...]
+    ) -> DirectProblem:
+        """Convert ``log``. Raises InputError when it has no GNSS."""
+        gnss, imu, first = require_gnss(log, name), log.imu, log.initial
+        per_radian = earth.metres_per_radian(first.lat, first.h)
+        model = noise_model(log)
+        x, p = _start(first, model.covariance)
+        place, lever = np.array([first.lat, first.h, *per_radian]), np.array(gnss.spec.lever_arm_b, dtype=float)
+        setting = Setting(place, model.bias_mean, model.decay, lever)
+        noise = np.append(model.q * np.repeat(noise_scales, 3) ** 2, 0.0)
+        fix_t = gnss.t - gnss.spec.latency_s
+        fixes = fix_t >= first.t - 1e-7
+        position = earth.position_difference(gnss.lat, gnss.lon, gnss.h, first.lat, first.lon, first.h)
+        local = earth.metres_per_radian(gnss.lat, gnss.h)
+        std = np.maximum(gnss.measurement_std(), MINIMUM_STD) * np.repeat(std_scales, 3)
+        std[:, 0] *= per_radian[0] / local[0]
+        std[:, 1] *= per_radian[1] / local[1]
+        z = np.column_stack([*position, gnss.v_n])
+        return cls(
+            first.t,
+            imu.t,
+            fix_t[fixes],
+            Inputs(np.column_stack([imu.gyro, imu.accel]), z[fixes], std[fixes] ** 2),
+            x,
+            p,
+            Motion(ACCELERATED, setting, noise, np.zeros(3)),
+            (first.lat, first.lon, first.h),
+            make_keep(imu.t, int(fixes.sum())),
+        )
+
+    def timeline(self) -> Timeline:
+        """The time line at its start."""
+        return make_timeline(self.start, self.t, self.gnss_t)
+
+    def solution(self, used: int, extras: dict[str, tuple[Array, Array]]) -> NavSolution:
+        """The answer in the bench's conventions, after ``used`` fixes."""
+        states, every = self.keep.state, self.keep.snapshot_stride
+        place, rows = self.motion.setting.place, slice(every - 1, None, every)
+        lat, h = self.reference[0] + states[:, 0] / place[2], self.reference[2] - states[:, 2]
+        stretch = np.ones((len(self.t), 15))
+        local = earth.metres_per_radian(lat, h)
+        stretch[:, 0], stretch[:, 1] = local[0] / place[2], local[1] / place[3]
+        to_metres = np.ones((used, MEASUREMENTS))
+        k = np.minimum(np.searchsorted(self.t, self.gnss_t[:used]), len(self.t) - 1)
+        to_metres[:, :2] = stretch[k, :2]
+        return NavSolution(
+            self.t,
+            lat,
+            wrap(self.reference[1] + states[:, 1] / place[3]),
+            h,
+            states[:, 3:6],
+            eulers_to_quats(states[:, 6:9]),
+            accel_bias=states[:, 9:12],
+            gyro_bias=states[:, 12:15],
+            std=self.keep.std * stretch,
+            covariance_t=self.t[rows],
+            covariance=_to_rotation_vector(self.keep.covariance, states[rows], stretch[rows]),
+            innovations={
+                "gnss": Innovations(
+                    self.gnss_t[:used],
+                    self.keep.innovation[:used] * to_metres,
+                    self.keep.innovation_covariance[:used] * to_metres[:, :, None] * to_metres[:, None, :],
+                )
+            },
+            states=STATE_NAMES,
+            extras=extras,
+        )
+
+
+def make_ekf(task: DirectProblem, filter_name: str, forgetting: float, threshold: float) -> Ekf:
+    """The filter at the start of a task."""
+    tracking = Tracking(FILTERS[filter_name], forgetting, threshold, np.zeros(MEASUREMENTS + 1))
+    theta = np.full(len(task.gnss_t), np.nan)
+    return Ekf(task.inputs, task.motion, tracking, task.x.copy(), task.p.copy(), make_work(), task.keep, theta)
+
+
+def make_keep(t: Array, fixes: int) -> Recording:
+    """Room for a row per IMU time, a covariance about once a second, and the innovations of so many fixes."""
+    n, m = len(t), MEASUREMENTS
+    every = max(1, round(SNAPSHOT_INTERVAL_S * (n - 1) / (t[-1] - t[0])))
+    rows, snapshots = np.empty((2, n, 15)), np.empty((n // every, 15, 15))
+    nu = np.full((fixes, m), np.nan), np.full((fixes, m, m), np.nan), np.full(fixes, np.nan)
+    return Recording(1, rows[0], rows[1], every, snapshots, *nu)
+
+
+def _start(first: InitialState, covariance: Array) -> tuple[Array, Array]:
+    """State (15,), and its covariance (15,15) with Euler angles instead of a rotation vector."""
+    euler = quat_to_euler(np.asarray(first.q_nb, float))
+    x = np.concatenate([np.zeros(3), first.v_n, euler, first.accel_bias, first.gyro_bias]).astype(float)
+    to_euler = np.eye(15)
+    to_euler[6:9, 6:9] = np.linalg.inv(np.array(euler_error_matrix(*euler)))
+    return x, to_euler @ covariance @ to_euler.T
+
+
+def _to_rotation_vector(snapshots: Array, states: Array, stretch: Array) -> Array:
+    """Covariances (K,15,15) of scaled positions and Euler angles as those of metres and a rotation vector in n."""
+    jacobian = np.zeros((len(snapshots), 15, 15))
+    jacobian[:, range(15), range(15)] = stretch
+    for k, row in enumerate(states):
+        jacobian[k, 6:9, 6:9] = euler_error_matrix(row[6], row[7], row[8])
+    with np.errstate(all="ignore"):  # a diverged filter holds no finite numbers, which the scorer will say
+        return jacobian @ snapshots @ jacobian.transpose(0, 2, 1)
+
+
+def chi_square_threshold(significance: float) -> float:
+    """Value that a chi-square variable with 6 degrees of freedom exceeds with probability ``significance``."""
+    from scipy.special import chdtri
+
+    return float(chdtri(MEASUREMENTS, significance))
+
+
+def check_range(owner: str, key: str, value: float, low: float, high: float) -> None:
+    """Raises InputError when ``value`` is no number in [low, high]."""
+    if not (np.isfinite(value) and low <= value <= high):
+        raise InputError(f"{owner}: {key} = {value}, must lie between {low:g} and {high:g}")

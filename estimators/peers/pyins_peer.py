@@ -1,0 +1,129 @@
+"""`pyins`: the feedback filter of the package python-ins (N. Matveev), as a peer for accuracy and speed.
+
+Fed with the same specifications, initial state and fixes as `indirect-kf`; needs the optional extra ``peers``.
+python-ins works in degrees and pandas; everything is converted at this edge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from estimators.aiding.gnss import MINIMUM_STD, require_gnss
+from estimators.blocks.imu import noise_model
+from testbed.base.errors import InputError, MissingExtra
+from testbed.data.records import NavSolution, SensorLog
+from testbed.physics.rotations import eulers_to_quats, quats_to_eulers
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LLA = ["lat", "lon", "alt"]
+VELOCITY = ["VN", "VE", "VD"]
+EULER = ["roll", "pitch", "heading"]
+
+
+@dataclass(frozen=True)
+class PyIns:
+    """python-ins 1.x: 15 states, position and velocity fixes.
+
+    ``time_step_s`` is the interval of its covariance propagation. Its bias is a random walk without decay, its initial
+    deviations are one figure for all axes of position and of velocity (the largest is taken) and two for attitude.
+    """
+
+    time_step_s: float = 0.1
+    name: ClassVar[str] = "pyins"
+    sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.time_step_s <= 1.0:
+            raise InputError(f"{self.name}: time_step_s = {self.time_step_s}, must be above 0 and at most 1 s")
+
+    def run(self, log: SensorLog) -> NavSolution:
+        """Filter the log. Raises InputError without GNSS fixes or without the package."""
+        filters, measurements, sensors = _pyins()
+        gnss = require_gnss(log, self.name)
+        q, _, _, covariance = noise_model(log)
+        std = np.sqrt(np.diag(covariance))
+        gyro = sensors.EstimationModel(bias_sd=std[12:], noise=np.sqrt(q[3:6]), bias_walk=np.sqrt(q[9:12]))
+        accel = sensors.EstimationModel(bias_sd=std[9:12], noise=np.sqrt(q[:3]), bias_walk=np.sqrt(q[6:9]))
+        fix_std = np.maximum(gnss.measurement_std()[0], MINIMUM_STD)
+        lever = np.array(gnss.spec.lever_arm_b, dtype=float)
+        place, motion = fix_frames(log)
+        result = filters.run_feedback_filter(
+            initial_pva(log),
+            float(std[:3].max()),
+            float(std[3:6].max()),
+            float(np.degrees(std[6:8].max())),
+            float(np.degrees(std[8])),
+            imu_increments(log),
+            gyro,
+            accel,
+            [measurements.Position(place, fix_std[:3], lever), measurements.NedVelocity(motion, fix_std[3:], lever)],
+            self.time_step_s,
+        )
+        return _solution(log, result)
+
+
+def _pyins() -> tuple[Any, Any, Any]:
+    try:
+        from pyins import filters, inertial_sensor, measurements
+    except ImportError:
+        raise MissingExtra("estimator 'pyins' needs the package python-ins: install the extra 'peers'") from None
+    return filters, measurements, inertial_sensor
+
+
+def initial_pva(log: SensorLog) -> pd.Series:
+    """The initial state as python-ins' Pva."""
+    import pandas as pd
+
+    s = log.initial
+    euler = np.degrees(quats_to_eulers(np.atleast_2d(s.q_nb))[0])
+    place = [np.degrees(s.lat), np.degrees(s.lon), s.h]
+    return pd.Series([*place, *s.v_n, *euler], index=LLA + VELOCITY + EULER, name=s.t)
+
+
+def imu_increments(log: SensorLog) -> pd.DataFrame:
+    """The IMU means as python-ins' Increments, with its own coning and sculling; initial biases subtracted."""
+    import pandas as pd
+    from pyins.strapdown import compute_increments_from_imu
+
+    imu, s = log.imu, log.initial
+    t = np.concatenate([[s.t], imu.t])
+    values = np.hstack([imu.gyro - s.gyro_bias, imu.accel - s.accel_bias]) * np.diff(t)[:, None]
+    names = [f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz"]
+    frame = pd.DataFrame(np.vstack([np.zeros(6), values]), index=t, columns=names)
+    return compute_increments_from_imu(frame, "increment")
+
+
+def fix_frames(log: SensorLog) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Position and velocity fixes as python-ins wants them, at the time that they describe."""
+    import pandas as pd
+
+    gnss = require_gnss(log, "pyins")
+    t = gnss.t - gnss.spec.latency_s
+    place = pd.DataFrame(np.column_stack([np.degrees(gnss.lat), np.degrees(gnss.lon), gnss.h]), index=t, columns=LLA)
+    return place, pd.DataFrame(gnss.v_n, index=t, columns=VELOCITY)
+
+
+def _solution(log: SensorLog, result: Any) -> NavSolution:
+    table = result.trajectory.iloc[1:]
+    euler = np.radians(table[EULER].to_numpy())
+    t = table.index.to_numpy()
+
+    def biases(frame: pd.DataFrame, initial: Any) -> Any:
+        last = np.searchsorted(frame.index.to_numpy(), t, side="right") - 1
+        return frame.to_numpy()[last] + initial
+
+    return NavSolution(
+        t,
+        np.radians(table["lat"].to_numpy()),
+        np.radians(table["lon"].to_numpy()),
+        table["alt"].to_numpy(),
+        table[VELOCITY].to_numpy(),
+        eulers_to_quats(euler),
+        accel_bias=biases(result.accel, log.initial.accel_bias),
+        gyro_bias=biases(result.gyro, log.initial.gyro_bias),
+    )

@@ -1,0 +1,1 @@
+"""What everything may use: errors, random streams, resources, checked settings, files, child processes."""

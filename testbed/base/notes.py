@@ -1,0 +1,67 @@
+"""Notes of a run: what a scenario says without effect. Each is told once, kept in the manifest and shown in the report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from testbed.base.resources import scenario_root
+from testbed.data.registry import make_estimator
+
+if TYPE_CHECKING:
+    from testbed.scenario import Scenario
+
+
+def notes_of(scenario: Scenario) -> list[str]:
+    """The notes of a checked scenario, in sentences. Raises what reading its recording and making its estimators raises."""
+    notes = _of_recording(scenario) if scenario.recording is not None else _of_flight(scenario)
+    recorded = _recorded(scenario)
+    used = [_sensors_of(make_estimator(entry.name, **entry.params)) for entry in scenario.estimators]
+    if None not in used:
+        idle = [kind for kind in recorded if not any(kind in (names or ()) for names in used)]
+        notes += [f"no estimator of this run uses the sensor {kind}" for kind in idle]
+    return notes
+
+
+def _of_flight(scenario: Scenario) -> list[str]:
+    """A shipped scenario says how its flights may be drawn, ready for who sets ``vary``; in a file of one's own that is a slip."""
+    settings = scenario.monte_carlo
+    own = Path(scenario.source_path).parent != scenario_root().resolve()
+    own = own or any(key.startswith("monte_carlo.disperse") for key in scenario.settings)
+    if settings.disperse and "manoeuvres" not in settings.vary and own:
+        return ["monte_carlo.disperse has no effect: monte_carlo.vary does not name 'manoeuvres'"]
+    return []
+
+
+def _of_recording(scenario: Scenario) -> list[str]:
+    from testbed.formats import load_recording
+
+    assert scenario.recording is not None
+    notes = list(load_recording(scenario.recording, scenario.folder).notes)
+    idle = [f"monte_carlo.{key}" for key in ("vary", "disperse") if key in scenario.monte_carlo.model_fields_set]
+    idle += [f"initial.{key}" for key in sorted(scenario.initial.model_fields_set)]
+    return notes + [f"{key} has no effect on a recording" for key in idle]
+
+
+def _recorded(scenario: Scenario) -> list[str]:
+    """The aiding sensors that the run's log has."""
+    if scenario.recording is None:
+        from testbed.sensors.registry import SENSORS
+
+        return [kind for kind in SENSORS if getattr(scenario.sensors, kind, None) is not None]
+    from testbed.formats import load_recording
+
+    return list(load_recording(scenario.recording, scenario.folder).log.aiding)
+
+
+def _sensors_of(estimator: Any) -> tuple[str, ...] | None:
+    """What an estimator says that it uses (``sensors``); None where it does not say.
+
+    A subclass with a ``run`` of its own does not inherit the word of its parent.
+    """
+    for kind in type(estimator).__mro__:
+        if "sensors" in vars(kind):
+            return tuple(estimator.sensors)
+        if "run" in vars(kind):
+            return tuple(estimator.sensors) if "sensors" in getattr(estimator, "__dict__", {}) else None
+    return None

@@ -1,0 +1,403 @@
+"""The command line: small verbs around the Python API. Heavy imports are made inside the verbs.
+
+Exit codes: 0 done, 1 the work failed, 2 bad usage or bad input. A user's mistake gives one message and no traceback.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from testbed.cli import completion
+
+if TYPE_CHECKING:
+    from testbed.scenario import Scenario
+
+app = typer.Typer(
+    name="testbed",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="JSBSim flies a scripted manoeuvre, sensor models record it, every navigation filter is scored on the same recording.",
+)
+
+DEBUG = "--debug"
+_SCENARIO = typer.Argument(
+    metavar="SCENARIO", help="Path of a TOML file, or the name of a shipped one.", autocompletion=completion.scenarios
+)
+ScenarioArgument = Annotated[str, _SCENARIO]
+ProfileOption = Annotated[
+    str | None,
+    typer.Option(
+        "--profile", help="Overlay of the scenario, for example smoke or paper.", autocompletion=completion.profiles
+    ),
+]
+VariantOption = Annotated[
+    str | None, typer.Option("--variant", help="Variant of the scenario.", autocompletion=completion.variants)
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting, e.g. sensors.imu.rate_hz=200."),
+]
+PluginOption = Annotated[list[Path] | None, typer.Option("--plugin", help="Python file with your own estimators.")]
+SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed in place of the scenario's.")]
+_PATH_KEY = re.compile(r"recording\.dir|sensors\.\w+\.file|estimators\.\d+\.params_file")
+"""Settings that are paths: on the command line they start from the current folder, in a scenario file from its own."""
+OutOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", help="Folder for the results: new, empty, or of the same verb. What the bench did not write is kept."
+    ),
+]
+
+
+@app.callback()
+def options(
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show the traceback of an error inside of the bench (anywhere in the line).")
+    ] = False,
+) -> None:
+    """What stands before the verb; `main` has taken ``--debug`` out already, here it is for the help."""
+
+
+def main() -> None:
+    """Entry point of the command ``testbed``. Whatever goes wrong ends in one message and an exit code, see `_failed`."""
+    from testbed.cli.console import usable_streams
+
+    words = sys.argv[1:]
+    usable_streams()
+    try:
+        app(args=[word for word in words if word != DEBUG])
+    except (SystemExit, typer.Exit):
+        raise
+    except BaseException as error:
+        if DEBUG in words:
+            raise
+        sys.exit(_failed(error, words))
+
+
+def _failed(error: BaseException, words: Sequence[str]) -> int:
+    """Tell what ended a verb in one message; its exit code. What nobody foresaw names its place and how to report it."""
+    from testbed.base.errors import TestbedError, readable
+
+    if isinstance(error, BrokenPipeError):
+        # Python flushes once more at the end, and would complain of the closed pipe
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    code = 1
+    if isinstance(error, TestbedError):
+        told, code = str(error), error.exit_code
+    elif isinstance(error, KeyboardInterrupt):
+        told = "stopped"
+    elif isinstance(error, OSError) and error.filename is not None:
+        told = f"{error.filename}: {error.strerror}"
+    else:
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        line = shlex.join(["testbed", *words, DEBUG])
+        told = f"an error inside of the bench: {what}{place}; to report it, send the output of '{line}' and its input files"
+    print(f"testbed: {readable(told)}", file=sys.stderr)
+    return code
+
+
+def _loader(
+    scenario: str, profile: str | None, variant: str | None, settings: list[str] | None, seed: int | None = None
+) -> Callable[..., Scenario]:
+    """How this call reads its scenario: further overrides (of a sweep) stand above the call's own settings; and a reading."""
+    from testbed.scenario import load_scenario, parse_setting
+
+    overrides: dict[str, Any] = dict(parse_setting(text) for text in settings or [])
+    for key, value in overrides.items():
+        folder = key == "flight.aircraft" and "/" in str(value)
+        if isinstance(value, str) and (folder or _PATH_KEY.fullmatch(key)):
+            overrides[key] = str(Path(value).resolve())
+    if seed is not None:
+        overrides["monte_carlo.seed"] = seed
+    return lambda further, reading=None: load_scenario(scenario, profile, variant, {**overrides, **further}, reading)
+
+
+def _load_plugins(plugins: list[Path] | None) -> list[str]:
+    """Load them; the names of their estimators."""
+    from testbed.data.registry import load_plugin
+
+    return [name for path in plugins or [] for name in load_plugin(path)]
+
+
+@app.command("run")
+def run_command(
+    scenario: Annotated[str | None, _SCENARIO] = None,
+    runs: Annotated[
+        str | None, typer.Option(help="Number of Monte Carlo runs, or 'auto' to stop when the claims are settled.")
+    ] = None,
+    seed: SeedOption = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes; default: one per core.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, e.g. tcp://host:8786.")
+    ] = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    estimators: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B",
+            help="Only these rows of the scenario (or further estimators); +A: A beside all of its rows.",
+            autocompletion=completion.estimators,
+        ),
+    ] = None,
+    settings: SetOption = None,
+    out: OutOption = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Complete what is missing in an earlier result.")] = False,
+    timeout: Annotated[float | None, typer.Option(min=0.1, help="Longest time of one estimator on one run, s.")] = None,
+    sweep: Annotated[list[str] | None, typer.Option(metavar="KEY=V1,V2", help="Run a grid over settings.")] = None,
+    readings: Annotated[
+        bool, typer.Option("--readings", help="Run every reading of the source and judge the claims under each.")
+    ] = False,
+    width: Annotated[
+        float,
+        typer.Option(min=0.1, help="With --runs auto or --readings: interval width of every claim, percentage points."),
+    ] = 10.0,
+    cap: Annotated[
+        int | None, typer.Option(min=1, help="Most runs with --runs auto (1000) and with --readings (200).")
+    ] = None,
+    report: Annotated[
+        bool, typer.Option("--report/--no-report", help="Render the report; the tables are always written.")
+    ] = True,
+    plugin: PluginOption = None,
+) -> None:
+    """Fly, sense, estimate, score over many seeds; print the table and write the report."""
+    from testbed.cli import commands
+
+    if scenario is None:
+        commands.show("scenarios")
+        print("\nRun one with: testbed run NAME")
+        return
+    offered = _load_plugins(plugin)
+    commands.run(
+        _loader(scenario, profile, variant, settings, seed),
+        out=out,
+        runs=runs,
+        jobs=jobs,
+        scheduler=scheduler,
+        estimators=estimators,
+        resume=resume,
+        timeout=timeout,
+        sweep=sweep,
+        readings=readings,
+        width=width,
+        cap=cap,
+        report=report,
+        plugins=plugin or [],
+        offered=offered,
+    )
+
+
+@app.command("fly")
+def fly_command(
+    scenario: ScenarioArgument,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+    seed: SeedOption = None,
+) -> None:
+    """Fly only: the trajectory as Parquet, CSV, KML and NaveGo-style .mat."""
+    from testbed.cli import commands
+
+    commands.fly(_loader(scenario, profile, variant, settings, seed)({}), out)
+
+
+@app.command("sense")
+def sense_command(
+    scenario: ScenarioArgument,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+    seed: SeedOption = None,
+) -> None:
+    """Fly and record: the trajectory and one sensor log."""
+    from testbed.cli import commands
+
+    commands.sense(_loader(scenario, profile, variant, settings, seed)({}), out)
+
+
+@app.command("allan")
+def allan_command(
+    log: Annotated[Path, typer.Argument(help="Folder of a sensor log at rest.")],
+    out: OutOption = None,
+) -> None:
+    """Allan deviation of a log at rest, and the coefficients fitted to it."""
+    from testbed.cli import commands
+
+    commands.allan(log, out)
+
+
+@app.command("import")
+def import_command(
+    format: Annotated[str, typer.Argument(help="navego, table or ulog.", autocompletion=completion.formats)],
+    files: Annotated[list[Path], typer.Argument(help="The recording: a folder or files.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the sensor log.")],
+) -> None:
+    """Recorded data into a sensor log that every estimator can run on."""
+    from testbed.cli import commands
+
+    commands.import_recording(format, files, out)
+
+
+@app.command("report")
+def report_command(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Result folders.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the index over several results.")] = Path("results"),
+) -> None:
+    """Render results again; several results also into one index."""
+    from testbed.cli import commands
+
+    commands.report(folders, out)
+
+
+@app.command("compare")
+def compare_command(
+    old: Annotated[Path, typer.Argument(help="Result folder of the reference.")],
+    new: Annotated[Path, typer.Argument(help="Result folder to judge.")],
+    windows: Annotated[bool, typer.Option("--windows", help="Also the changes in single windows.")] = False,
+) -> None:
+    """Say which metrics changed beyond their statistical error; exit code 1 if any got worse or is missing."""
+    from testbed.cli import commands
+
+    raise typer.Exit(commands.compare(old, new, windows))
+
+
+@app.command("features")
+def features_command(
+    scenario: ScenarioArgument,
+    estimator: Annotated[
+        str | None, typer.Option(help="Row whose networks are meant; default: the first that can say.")
+    ] = None,
+    inputs: Annotated[int, typer.Option(min=1, help="How many of the best inputs get a lag curve.")] = 4,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+) -> None:
+    """Rank a network's candidate inputs (MRMR) and measure the lags that they need (Lipschitz)."""
+    from testbed.features.command import features
+
+    loaded = _loader(scenario, profile, variant, settings)({})
+    print(f"tables and plot: {features(loaded, out or Path('results') / f'{loaded.name}-features', estimator, inputs)}")
+
+
+@app.command("dataset")
+def dataset_command(
+    scenario: ScenarioArgument,
+    flights: Annotated[int | None, typer.Option(min=1, help="Number of flights in place of the scenario's.")] = None,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+) -> None:
+    """Fly and record training data for the networks of a scenario."""
+    from testbed.cli.commands import progress_line
+    from testbed.training.dataset import make_dataset
+
+    loaded = _loader(scenario, profile, variant, settings)({})
+    with progress_line("flights") as tell:
+        print(f"data set: {make_dataset(loaded, out or Path('results') / f'{loaded.name}-dataset', flights, tell)}")
+
+
+@app.command("train")
+def train_command(
+    scenario: ScenarioArgument,
+    data: Annotated[
+        Path | None, typer.Option(help="Data set of 'testbed dataset'; default: made and kept in the cache.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")] = False,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+) -> None:
+    """Train the networks of a scenario and store their weights."""
+    from testbed.training.train import train
+
+    loaded = _loader(scenario, profile, variant, settings)({})
+    print(f"weights: {train(loaded, out or Path('results') / f'{loaded.name}-training', data, resume)}")
+
+
+@app.command("tune")
+def tune_command(
+    scenario: ScenarioArgument,
+    algorithms: Annotated[
+        str | None, typer.Option(metavar="A,B", help="ga, pso, ipo, mipo, sipo, iipo, cma-es, de.")
+    ] = None,
+    iterations: Annotated[
+        str | None, typer.Option(metavar="N,M", help="Iterations of the independent searches.")
+    ] = None,
+    population: Annotated[int | None, typer.Option(min=2, help="Candidates per iteration.")] = None,
+    seeds: Annotated[str | None, typer.Option(metavar="1,2", help="Seeds of the searches.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Threads; default: one per core.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Complete an earlier study.")] = False,
+    time_limit: Annotated[float | None, typer.Option(min=1.0, help="Stop, resumable, after so many seconds.")] = None,
+    out: OutOption = None,
+    profile: ProfileOption = None,
+    variant: VariantOption = None,
+    settings: SetOption = None,
+    plugin: PluginOption = None,
+) -> None:
+    """Search the declared parameters of estimators; score the best on seeds that the search never saw."""
+    from testbed.tuning.command import tune
+
+    _load_plugins(plugin)
+    tune(
+        _loader(scenario, profile, variant, settings)({}),
+        out,
+        algorithms=algorithms,
+        iterations=iterations,
+        population=population,
+        seeds=seeds,
+        jobs=jobs,
+        resume=resume,
+        time_limit=time_limit,
+        plugins=plugin or [],
+    )
+
+
+@app.command("list")
+def list_command(
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="scenarios, aircraft, manoeuvres, sensors, estimators or metrics.", autocompletion=completion.listable
+        ),
+    ],
+    name: Annotated[str | None, typer.Argument(help="One of the estimators: its parameters and parts.")] = None,
+    plugin: PluginOption = None,
+) -> None:
+    """What the bench ships and finds."""
+    from testbed.cli import commands
+
+    _load_plugins(plugin)
+    commands.show(what, name)
+
+
+@app.command("new")
+def new_command(
+    kind: Annotated[
+        str, typer.Argument(help="estimator, policy, scenario or aircraft.", autocompletion=completion.starting_files)
+    ],
+    name: Annotated[str, typer.Argument(help="Its name; the file goes into this folder.")],
+    like: Annotated[str | None, typer.Option("--like", help="The aircraft to start from (default: aerosonde).")] = None,
+) -> None:
+    """A starting file that works as it is: an estimator, a policy, a scenario, or a copy of an aircraft."""
+    from testbed.cli.templates import command_for, new_file
+
+    path = new_file(kind, name, like=like)
+    print(f"{path}; try it with: {command_for(kind, path, name)}")

@@ -1,0 +1,210 @@
+"""Estimators by name: entry points of the group ``testbed.estimators``, and single files given with ``--plugin``.
+
+An estimator is any class with a ``name`` and ``run(log) -> NavSolution``; its constructor's keywords are its parameters.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import inspect
+import re
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, cached_property
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Protocol
+
+from testbed.base.errors import OWN, InputError, nearest, shown
+from testbed.data.records import NavSolution, SensorLog, Trajectory
+
+GROUP = "testbed.estimators"
+
+
+class Estimator(Protocol):
+    """What the bench asks of a method under test.
+
+    It may declare the sensors that it uses as a class attribute, ``sensors = ("imu", "gnss")``: then a run tells of those
+    in the log that no estimator uses.
+    """
+
+    name: str
+
+    def run(self, log: SensorLog) -> NavSolution:
+        """The navigation solution that this method makes of a log."""
+        ...
+
+
+class Trainable(Estimator, Protocol):
+    """An estimator that learns before it runs."""
+
+    def fit(self, flights: Iterable[tuple[SensorLog, Trajectory]]) -> None:
+        """Learn from flights whose truth is known."""
+        ...
+
+
+_plugins: dict[str, type] = {}
+
+
+@cache
+def _entries() -> dict[str, EntryPoint]:
+    return {entry.name: entry for entry in entry_points(group=GROUP)}
+
+
+def list_estimators() -> list[str]:
+    """Names that `make_estimator` knows, sorted."""
+    return sorted(set(_entries()) | set(_plugins))
+
+
+def estimator_class(name: str) -> type:
+    """The class behind a name. Raises InputError with the nearest name when there is none."""
+    if name in _plugins:
+        return _plugins[name]
+    if name not in _entries():
+        raise InputError(f"unknown estimator '{name}'; {nearest(name, list_estimators())}; {OWN}")
+    loaded: type = _entries()[name].load()
+    return loaded
+
+
+def make_estimator(name: str, **params: Any) -> Estimator:
+    """Build an estimator. Raises InputError for an unknown name or parameter."""
+    kind = estimator_class(name)
+    known = parameter_names(kind)
+    for key in params:
+        if known is not None and key not in known:
+            raise InputError(f"estimator '{name}' has no parameter '{key}'; {nearest(key, known)}")
+    _check_kinds(name, kind, params)
+    try:
+        made: Estimator = kind(**params)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"estimator '{name}': {error}") from None
+    return made
+
+
+def _check_kinds(name: str, kind: type, params: Mapping[str, Any]) -> None:
+    """Refuse text for a number and the like, where the default of a parameter tells what it is; a list may stand for a number."""
+    for key, parameter in inspect.signature(kind).parameters.items():
+        usual, given = parameter.default, params.get(key)
+        if (
+            given is None
+            or not isinstance(usual, bool | int | float | str)
+            or parameter.annotation in (Any, object, "Any", "object")
+        ):
+            continue
+        number = not isinstance(usual, bool | str)
+        if isinstance(given, str | bool) if number else not isinstance(given, type(usual)):
+            what = "a number" if number else "a text" if isinstance(usual, str) else "true or false"
+            raise InputError(f"estimator '{name}': '{key}' should be {what} like {usual!r}, got {shown(given)}")
+
+
+def fast_path(kind: type, name: str) -> Callable[..., Any] | None:
+    """The option ``name`` of an estimator class (``searcher`` ...), which stands in for its ``run``; None where it must not.
+
+    It stands in for the ``run`` of the class that defines it. A class further down that has a ``run`` of its own, or another
+    version of any method that this ``run`` may call, is another filter: there it needs its own fast path.
+    """
+    family = kind.__mro__
+    owner = next((k for k, part in enumerate(family) if name in vars(part)), None)
+    if owner is None or getattr(kind, name) is None:
+        return None
+    methods = {key for part in family[owner:] for key, value in vars(part).items() if _is_method(key, value)}
+    changed = (key for part in family[:owner] for key in vars(part) if key in methods)
+    if next(changed, None) is not None:
+        return None
+    found: Callable[..., Any] = getattr(kind, name)
+    return found
+
+
+def _is_method(key: str, value: object) -> bool:
+    code = inspect.isfunction(value) or isinstance(value, staticmethod | classmethod | property | cached_property)
+    return code and not (key.startswith("__") and key.endswith("__"))
+
+
+def parameter_names(kind: type) -> list[str] | None:
+    """Declared parameters of an estimator class; None where its constructor takes any keyword."""
+    if dataclasses.is_dataclass(kind):
+        return [f.name for f in dataclasses.fields(kind) if f.init]
+    parameters = inspect.signature(kind).parameters.values()
+    if any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return None
+    return [p.name for p in parameters]
+
+
+def describe_parameters(name: str) -> list[tuple[str, str, str, str]]:
+    """A row per parameter of an estimator: name, default, range that a tuner may search, meaning.
+
+    The meaning is ``metadata={"help": ...}`` of the field, else the sentence of the class's docstring that has the parameter
+    in double backquotes.
+    """
+    kind = estimator_class(name)
+    fields = {f.name: f for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else {}
+    space: Mapping[str, tuple[float, float, str]] = getattr(kind, "parameter_space", {})
+    rows = []
+    for key, parameter in inspect.signature(kind).parameters.items():
+        given = fields.get(key)
+        default = parameter.default
+        if given is not None and given.default_factory is not dataclasses.MISSING:
+            default = given.default_factory()
+        shown = "must be given" if default is parameter.empty else _shown(default)
+        help_ = given.metadata.get("help", "") if given is not None else ""
+        rows.append((key, shown, _range(space.get(key)), help_ or _sentence(kind, key)))
+    known = [row[0] for row in rows]
+    return rows + [(key, "", _range(limits), "") for key, limits in space.items() if key not in known]
+
+
+def _shown(value: Any) -> str:
+    """A default as a scenario would have it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_shown, value))}]"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{k} = {_shown(v)}" for k, v in value.items()) + " }" if value else "{}"
+    return f'"{value}"' if isinstance(value, str) else "none" if value is None else str(value)
+
+
+def _range(limits: tuple[float, float, str] | None) -> str:
+    return "" if limits is None else f"{limits[0]:g} to {limits[1]:g} ({limits[2]})"
+
+
+def _sentence(kind: type, key: str) -> str:
+    """What the docstrings of a class and its parents say first about a parameter."""
+    for parent in kind.__mro__:
+        text = " ".join((parent.__dict__.get("__doc__") or "").split())
+        for sentence in re.split(r"(?<=[.;]) (?=``|[A-Z])", text):
+            if f"``{key}``" in sentence:
+                return re.sub(r"^(``\w+``(, | and )?)+: ", "", sentence).rstrip(".;").replace("``", "")
+    return ""
+
+
+def load_plugin(path: str | Path) -> list[str]:
+    """Load a Python file that the user named and register every estimator class in it; returns their names."""
+    path = Path(path).resolve()
+    if not path.is_file():
+        raise InputError(f"{path}: no such plug-in file")
+    module_name = f"testbed_plugin_{path.stem}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"{path}: not a Python file; a plug-in ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"{path}: the plug-in does not import: {type(error).__name__}: {error}") from error
+    found: dict[str, type] = {
+        kind.name: kind  # type: ignore[attr-defined]
+        for kind in vars(module).values()
+        if inspect.isclass(kind)
+        and isinstance(getattr(kind, "name", None), str)
+        and callable(getattr(kind, "run", None))
+        if kind.__module__ == module_name
+    }
+    if not found:
+        raise InputError(f"{path}: no estimator in it; it needs a class with a 'name' and a method run(log)")
+    for name in found:
+        if name in _entries():
+            raise InputError(f"{path}: '{name}' is the name of an estimator that ships; give yours another")
+    _plugins.update(found)
+    return sorted(found)

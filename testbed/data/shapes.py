@@ -1,0 +1,35 @@
+"""What every record checks of its arrays when it is made: shapes, increasing time, finite values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from testbed.base.errors import InputError
+
+
+def check_arrays(
+    record: Any, what: str, shapes: dict[str, tuple[int | None, ...]], minimum: int = 2, finite: bool = True
+) -> None:
+    """Shapes, finite values and increasing time; None in a shape means any length. Arrays become float64."""
+    t = np.ascontiguousarray(record.t, dtype=np.float64)
+    object.__setattr__(record, "t", t)
+    if t.ndim != 1 or len(t) < minimum:
+        raise InputError(f"{what}: needs at least {minimum} samples, has shape {t.shape}")
+    if not np.isfinite(t).all():
+        raise InputError(f"{what}: time is not finite at sample {int(np.argmin(np.isfinite(t)))}")
+    if len(t) > 1 and not (steps := np.diff(t) > 0).all():
+        k = int(np.argmin(steps)) + 1
+        raise InputError(f"{what}: time must increase, but sample {k} is at {t[k]:.6g} s after {t[k - 1]:.6g} s")
+    for name, shape in shapes.items():
+        values = np.ascontiguousarray(getattr(record, name), dtype=np.float64)
+        object.__setattr__(record, name, values)
+        wanted = (len(t), *shape)
+        fits = values.ndim == len(wanted) and all(w in (None, v) for w, v in zip(wanted, values.shape, strict=True))
+        if not fits:
+            length = " as 't' has it" if values.shape[1:] == wanted[1:] else ""
+            raise InputError(f"{what}: '{name}' has shape {values.shape}, expected {wanted}{length}")
+        if finite and not np.isfinite(values).all():
+            k = int(np.argmin(np.isfinite(values).reshape(len(t), -1).all(axis=1)))
+            raise InputError(f"{what}: '{name}' is not finite at sample {k} (t = {t[k]:.6g} s)")

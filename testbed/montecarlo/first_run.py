@@ -1,0 +1,158 @@
+"""One run in full for the plots: truth, errors with the filter's own sigma, innovations and extras of run 0.
+
+Files of the folder ``details`` of a result, as Parquet bytes, thinned to at most `MAX_ROWS` rows. Units are in the column
+names: metres, m/s, degrees, time in seconds from the start of the flight.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from testbed.data import specs
+from testbed.data.records import (
+    ATTITUDE_STATES,
+    NAVIGATION_STATES,
+    Array,
+    Innovations,
+    NavSolution,
+    SensorLog,
+    Trajectory,
+)
+from testbed.physics import rotations
+from testbed.scenario import EstimatorConfig, Scenario
+from testbed.scoring.metrics import ErrorSeries
+from testbed.scoring.quantities import AXES
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MAX_ROWS = 3000
+
+Solved = tuple[EstimatorConfig, NavSolution, ErrorSeries]
+
+
+def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Sequence[Solved]) -> dict[str, bytes]:
+    """File name -> content: ``truth.parquet``, ``errors-<slug>.parquet``, ``innovations-``, ``extras-``, ``info.json``."""
+    files = {"truth.parquet": _parquet(_thin(trajectory.to_frame()))}
+    slugs = _slugs([entry.row for entry in scenario.estimators])
+    channels: dict[str, dict[str, list[str]]] = {}
+    components: dict[str, dict[str, list[str]]] = {}
+    for entry, solution, series in solved:
+        slug = slugs[entry.row]
+        files[f"errors-{slug}.parquet"] = _parquet(_thin(_errors_frame(solution, series)))
+        if told := {aiding: nu for aiding, nu in solution.innovations.items() if len(nu.t)}:
+            files[f"innovations-{slug}.parquet"] = _parquet(_innovations_frame(told))
+            channels[entry.row] = {aiding: list(nu.channels) for aiding, nu in told.items()}
+        if solution.extras:
+            files[f"extras-{slug}.parquet"] = _parquet(_extras_frame(solution))
+            components[entry.row] = {name: list(columns) for name, columns in solution.extra_names.items()}
+    if log.gnss is not None:
+        files["gnss.parquet"] = _parquet(_thin(log.frames()["gnss"]))
+    sensors = {
+        key: specs.to_dict(part.spec) for key, part in [("imu", log.imu), *log.aiding.items()] if hasattr(part, "spec")
+    }
+    info: dict[str, Any] = {
+        "name": scenario.name,
+        "title": scenario.scenario.title,
+        "source": scenario.scenario.source,
+        "phases": [[p.name, p.start, p.end] for p in trajectory.phases],
+        "outages": [list(o) for o in log.gnss.outages] if log.gnss is not None else [],
+        "estimators": slugs,
+        "innovations": channels,
+        "components": components,
+        "sensors": sensors,
+        "units": "specifications in SI units: rad/s, m/s², m, µT, Pa; noise densities per √Hz",
+    }
+    files["info.json"] = json.dumps(info, indent=1, ensure_ascii=False).encode()
+    return files
+
+
+def axis_sigmas(solution: NavSolution, rows: Any = slice(None)) -> dict[str, Array]:
+    """The filter's own 1-sigma of each of `AXES` that it has states for, at all times or some rows (N,).
+
+    Euler-angle sigmas come from the rotation-vector sigmas through the inverse of `rotations.euler_error_matrix`, without
+    the correlations, which ``std`` does not carry.
+    """
+    if solution.std is None:
+        return {}
+    std = {name: solution.std[rows, k] for k, name in enumerate(solution.states) if name in NAVIGATION_STATES}
+    found = {axis: std[state] for axis, state in zip(AXES[:6], NAVIGATION_STATES[:6], strict=True) if state in std}
+    if not set(ATTITUDE_STATES) <= set(std):
+        return found
+    _, pitch, yaw = rotations.quats_to_eulers(solution.q_nb[rows]).T
+    cos_p, tan_p, sin_y, cos_y = np.cos(pitch), np.tan(pitch), np.sin(yaw), np.cos(yaw)
+    north, east, down = (std[name] ** 2 for name in ATTITUDE_STATES)
+    roll = (cos_y**2 * north + sin_y**2 * east) / cos_p**2
+    level = sin_y**2 * north + cos_y**2 * east
+    heading = down + tan_p**2 * (cos_y**2 * north + sin_y**2 * east)
+    return found | {axis: np.degrees(np.sqrt(v)) for axis, v in zip(AXES[6:], (roll, level, heading), strict=True)}
+
+
+def _slugs(rows: Sequence[str]) -> dict[str, str]:
+    """A file-name part for each estimator row, all different."""
+    out: dict[str, str] = {}
+    for row in rows:
+        slug = base = re.sub(r"[^a-z0-9]+", "-", row.lower()).strip("-") or "estimator"
+        k = 2
+        while slug in out.values():
+            slug, k = f"{base}-{k}", k + 1
+        out[row] = slug
+    return out
+
+
+def _errors_frame(solution: NavSolution, series: ErrorSeries) -> pd.DataFrame:
+    import pandas as pd
+
+    columns: dict[str, Array] = {"time_s": series.t}
+    scored, nothing = series.axes(), np.full(len(series.t), np.nan)
+    columns |= {name: series.values[:, i] if i in scored else nothing for i, name in enumerate(AXES)}
+    rows = np.searchsorted(solution.t, series.t - 1e-9)
+    columns |= {f"sigma_{name}": sigma[rows] for name, sigma in axis_sigmas(solution).items()}
+    placed = bool({0, 1, 2} & set(scored))  # who does not navigate has no track
+    place = {"lat_deg": np.degrees(solution.lat), "lon_deg": np.degrees(solution.lon), "alt_m": solution.h}
+    columns |= {name: values[rows] if placed else nothing for name, values in place.items()}
+    return pd.DataFrame(columns)
+
+
+def _innovations_frame(told: Mapping[str, Innovations]) -> pd.DataFrame:
+    """One aiding after the other, each thinned; the channels of the largest one make the columns."""
+    import pandas as pd
+
+    parts = []
+    for aiding, nu in told.items():
+        spread = np.sqrt(np.einsum("kii->ki", nu.covariance))
+        rejected = np.zeros(len(nu.t), dtype=bool) if nu.rejected is None else nu.rejected
+        columns: dict[str, Any] = {"aiding": aiding, "time_s": nu.t, "rejected": rejected}
+        columns |= {f"nu_{i}": nu.value[:, i] for i in range(nu.value.shape[1])}
+        columns |= {f"s_{i}": spread[:, i] for i in range(spread.shape[1])}
+        parts.append(_thin(pd.DataFrame(columns)))
+    return pd.concat(parts, ignore_index=True)
+
+
+def _extras_frame(solution: NavSolution) -> pd.DataFrame:
+    import pandas as pd
+
+    parts = []
+    for name, (t, values) in solution.extras.items():
+        values = np.asarray(values, dtype=float).reshape(len(t), -1)
+        step = max(1, -(-len(t) // MAX_ROWS))
+        for component in range(values.shape[1]):
+            data = {"name": name, "component": component, "time_s": t[::step], "value": values[::step, component]}
+            parts.append(pd.DataFrame(data))
+    return pd.concat(parts, ignore_index=True)
+
+
+def _thin(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.iloc[:: max(1, -(-len(frame) // MAX_ROWS))].reset_index(drop=True)
+
+
+def _parquet(frame: pd.DataFrame) -> bytes:
+    buffer = io.BytesIO()
+    frame.to_parquet(buffer, index=False)
+    return buffer.getvalue()

@@ -1,0 +1,335 @@
+"""Errors of a solution against truth, and the metrics of the tables: accuracy per window and consistency (NEES, NIS).
+
+Bar-Shalom, Li & Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 5.4 (NEES, NIS). Errors are
+estimate minus truth: metres and m/s along n, Euler angles in degrees, the attitude error a rotation vector in n.
+
+Metric names are a statistic and a quantity. With e the error over the samples of a window:
+
+- ``rmse_``  root mean square of e
+- ``max_``   largest absolute error
+- ``final_`` absolute error at the end of the window (root mean square over the ends of a window of several intervals)
+- ``mean_``  mean of e, signed for an axis, of the magnitude for ``position_2d_m`` and the like
+
+of `quantities.QUANTITIES`. ``nees_position``, ``nees_velocity``, ``nees_attitude``, ``nees_bias`` (degrees of freedom: the
+states of that name that the estimator has) and ``nis`` are averages over time. ``rmse_gnss_`` and ``mean_gnss_`` compare with the GNSS fixes instead of truth, as papers
+do that have no reference: at the time that each fix describes, at the antenna.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from testbed.data.records import (
+    ACCEL_BIAS_STATES,
+    GYRO_BIAS_STATES,
+    NAVIGATION_STATES,
+    Array,
+    GnssFixes,
+    Innovations,
+    NavSolution,
+    SensorErrors,
+    Trajectory,
+)
+from testbed.physics import earth, rotations
+from testbed.scenario.windows import Window
+from testbed.scoring.quantities import (
+    AGAINST_FIXES,
+    AXES,
+    FIX_STATISTICS,
+    NEES,
+    NIS,
+    QUANTITIES,
+    STATISTICS,
+    Quantity,
+    scored_quantities,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+UNCOVERED = 0.01
+"""Share of a flight that a solution may leave out at either end, or between two samples."""
+_TIME_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class ErrorSeries:
+    """Errors of a solution at its own times ``t`` (N,): ``values`` (N,9) as `AXES`, ``phi`` (N,3) rotation vector, rad.
+
+    ``scored`` are the quantities that the estimator answers for.
+    """
+
+    t: Array
+    values: Array
+    phi: Array
+    scored: tuple[Quantity, ...] = tuple(QUANTITIES.values())
+
+    def axes(self) -> list[int]:
+        """The columns of ``values`` that are scored."""
+        names = {q.name for q in self.scored}
+        return [k for k, name in enumerate(AXES) if name in names]
+
+    def quantities(self) -> Array:
+        """(N,len(scored)): one column for each."""
+        return np.column_stack([q.of(self.values, self.phi) for q in self.scored])
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """One test statistic over time: ``t`` (K,), ``value`` (K,) and its degrees of freedom ``dof`` (K,)."""
+
+    t: Array
+    value: Array
+    dof: Array
+
+
+def error_series(trajectory: Trajectory, solution: NavSolution) -> ErrorSeries:
+    """Errors at the solution's times that lie within the trajectory; truth is interpolated where the grids differ."""
+    inside = (solution.t >= trajectory.t[0] - _TIME_TOLERANCE) & (solution.t <= trajectory.t[-1] + _TIME_TOLERANCE)
+    t = solution.t[inside]
+    lat, lon, h, v_n, q_nb = truth_at(trajectory, t)
+    ned = earth.position_difference(solution.lat[inside], solution.lon[inside], solution.h[inside], lat, lon, h)
+    q_est = solution.q_nb[inside]
+    euler = rotations.wrap(rotations.quats_to_eulers(q_est) - rotations.quats_to_eulers(q_nb))
+    values = np.column_stack([*ned, solution.v_n[inside] - v_n, np.degrees(euler)])
+    return ErrorSeries(t, values, rotations.attitude_errors(q_est, q_nb), scored_quantities(solution.states))
+
+
+def truth_at(trajectory: Trajectory, t: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """``lat, lon, h, v_n, q_nb`` of the truth at times ``t``: its own rows where they match, else interpolated."""
+    k = np.clip(np.searchsorted(trajectory.t, t - _TIME_TOLERANCE), 0, len(trajectory.t) - 1)
+    if len(t) == 0 or np.abs(trajectory.t[k] - t).max() <= _TIME_TOLERANCE:
+        if len(k) and k[-1] - k[0] == len(k) - 1:
+            k = slice(k[0], k[-1] + 1)  # type: ignore[assignment]
+        return trajectory.lat[k], trajectory.lon[k], trajectory.h[k], trajectory.v_n[k], trajectory.q_nb[k]
+    from testbed.physics.interpolate import state_at
+
+    return state_at(trajectory, np.clip(t, trajectory.t[0], trajectory.t[-1]))
+
+
+def score(
+    trajectory: Trajectory,
+    solution: NavSolution,
+    windows: Sequence[Window],
+    errors: SensorErrors | None = None,
+    gnss: GnssFixes | None = None,
+) -> pd.DataFrame:
+    """Table (window, metric, value) of a solution. Windows without a sample of the solution are left out.
+
+    ``errors`` (the true biases) adds ``nees_bias``, ``gnss`` the ``_gnss_`` metrics.
+    """
+    import pandas as pd
+
+    series = error_series(trajectory, solution)
+    rows = score_rows(series, consistency(series, solution, errors), windows)
+    if gnss is not None:
+        rows += gnss_rows(solution, gnss, windows)
+    return pd.DataFrame(rows, columns=["window", "metric", "value"])
+
+
+def score_rows(
+    series: ErrorSeries, tests: dict[str, Consistency], windows: Sequence[Window]
+) -> list[tuple[str, str, float]]:
+    """Rows (window, metric, value) of errors and consistency tests."""
+    quantities = series.quantities()
+    rows: list[tuple[str, str, float]] = []
+    for window in windows:
+        spans = np.array([(a, b) for a, b in _spans(series.t, window) if b > a], dtype=np.int64)
+        if len(spans):
+            for statistic, row in zip(STATISTICS, _described(quantities, spans), strict=True):
+                rows += [
+                    (window.name, f"{statistic}_{q.name}", float(v)) for q, v in zip(series.scored, row, strict=True)
+                ]
+        for name, test in tests.items():
+            inside = np.concatenate([test.value[a:b] for a, b in _spans(test.t, window)])
+            if len(inside):
+                rows.append((window.name, name, float(inside.mean())))
+    return rows
+
+
+@njit(cache=True)
+def _described(values, spans):
+    """(4,n): root mean square, largest size, root mean square of the last rows, and mean of (N,n) over spans (M,2) of rows."""
+    n = values.shape[1]
+    out = np.zeros((4, n))
+    count = 0
+    for j in range(spans.shape[0]):
+        a, b = spans[j, 0], spans[j, 1]
+        count += b - a
+        for k in range(a, b):
+            for i in range(n):
+                x = values[k, i]
+                out[0, i] += x * x
+                out[3, i] += x
+                if abs(x) > out[1, i] or x != x:
+                    out[1, i] = abs(x)
+        for i in range(n):
+            out[2, i] += values[b - 1, i] ** 2
+    for i in range(n):
+        out[0, i] = np.sqrt(out[0, i] / count)
+        out[2, i] = np.sqrt(out[2, i] / spans.shape[0])
+        out[3, i] /= count
+    return out
+
+
+def consistency(
+    series: ErrorSeries, solution: NavSolution, errors: SensorErrors | None = None
+) -> dict[str, Consistency]:
+    """NEES of each group of states at the covariance snapshots, and NIS of the innovations, as far as the solution tells.
+
+    A group is tested on the states of it that the solution names and whose truth is known.
+    """
+    out: dict[str, Consistency] = {}
+    if solution.covariance is not None and solution.covariance_t is not None and len(series.t):
+        keep = (solution.covariance_t >= series.t[0]) & (solution.covariance_t <= series.t[-1])
+        t, covariance = solution.covariance_t[keep], solution.covariance[keep]
+        known = _state_errors(series, solution, errors, t) if len(t) else {}
+        for name, test in NEES.items():
+            rows = [k for k, s in enumerate(solution.states) if s in known and s.startswith(test.prefixes)]
+            if rows:
+                error = np.column_stack([known[solution.states[k]] for k in rows])
+                block = covariance[:, np.array(rows)[:, None], rows]
+                out[name] = Consistency(t, _quadratic(error, block), np.full(len(t), float(len(rows))))
+    return out | _innovation_tests(solution)
+
+
+def _state_errors(
+    series: ErrorSeries, solution: NavSolution, errors: SensorErrors | None, t: Array
+) -> dict[str, Array]:
+    """Errors (K,) of the states whose truth is known, at times ``t`` (K,)."""
+    k = nearest_rows(series.t, t)
+    found = dict(zip(NAVIGATION_STATES, np.column_stack([series.values[k, :6], series.phi[k]]).T, strict=True))
+    if errors is None:
+        return found
+    own, true = nearest_rows(solution.t, t), nearest_rows(errors.t, t)
+    if solution.accel_bias is not None:
+        found |= zip(ACCEL_BIAS_STATES, (solution.accel_bias[own] - errors.accel_bias[true]).T, strict=True)
+    if solution.gyro_bias is not None:
+        found |= zip(GYRO_BIAS_STATES, (solution.gyro_bias[own] - errors.gyro_bias[true]).T, strict=True)
+    return found
+
+
+def _innovation_tests(solution: NavSolution) -> dict[str, Consistency]:
+    """``nis`` of all updates that were taken, in time order; also ``nis_AIDING`` where there are several aidings."""
+    parts = {name: _nis(nu.taken()) for name, nu in solution.innovations.items()}
+    parts = {name: part for name, part in parts.items() if len(part.t)}
+    if len(parts) < 2:
+        return dict(zip([NIS], parts.values(), strict=False))
+    joined = [np.concatenate([getattr(part, key) for part in parts.values()]) for key in ("t", "value", "dof")]
+    order = np.argsort(joined[0], kind="stable")
+    return {NIS: Consistency(*(column[order] for column in joined))} | {f"{NIS}_{n}": part for n, part in parts.items()}
+
+
+def _nis(nu: Innovations) -> Consistency:
+    """nu' S^-1 nu of each update; a channel that is NaN had no measurement and does not count."""
+    used = np.isfinite(nu.value)
+    value = _quadratic(np.where(used, nu.value, 0.0), _only(nu.covariance, used))
+    some = used.any(axis=1)
+    return Consistency(nu.t[some], value[some], used.sum(axis=1).astype(float)[some])
+
+
+def gnss_rows(solution: NavSolution, gnss: GnssFixes, windows: Sequence[Window]) -> list[tuple[str, str, float]]:
+    """Rows of ``rmse_gnss_`` and ``mean_gnss_``: the solution at the antenna minus each fix, at the time it describes."""
+    t = gnss.t - gnss.spec.latency_s
+    inside = (t >= solution.t[0]) & (t <= solution.t[-1])
+    if not inside.any():
+        return []
+    t = t[inside]
+    lat, lon, h, *v = (
+        np.interp(t, solution.t, x) for x in (solution.lat, np.unwrap(solution.lon), solution.h, *solution.v_n.T)
+    )
+    ned = np.column_stack(earth.position_difference(lat, lon, h, gnss.lat[inside], gnss.lon[inside], gnss.h[inside]))
+    if any(gnss.spec.lever_arm_b):
+        matrices = rotations.quats_to_matrices(solution.q_nb[nearest_rows(solution.t, t)])
+        ned = ned + matrices @ np.array(gnss.spec.lever_arm_b)
+    error = np.column_stack([ned, np.column_stack(v) - gnss.v_n[inside]])
+    compared = [q for q in scored_quantities(solution.states) if q.name in AGAINST_FIXES]
+    if not compared:
+        return []
+    values = np.column_stack([q.of(error, error) for q in compared])
+    rows: list[tuple[str, str, float]] = []
+    for window in windows:
+        part = np.concatenate([values[a:b] for a, b in _spans(t, window)])
+        if len(part):
+            for statistic, row in zip(FIX_STATISTICS, (_rms(part), part.mean(axis=0)), strict=True):
+                rows += [
+                    (window.name, f"{statistic}_gnss_{q.name}", float(x)) for q, x in zip(compared, row, strict=True)
+                ]
+    return rows
+
+
+def divergence(series: ErrorSeries, limit_m: float) -> str:
+    """Why a solution counts as diverged, or an empty string: a value that is not finite, or position off by ``limit_m``."""
+    if len(series.t) == 0:
+        return "no sample within the flight"
+    axes = series.axes()
+    finite = np.isfinite(series.values[:, axes]).all(axis=1)
+    if not finite.all():
+        return f"not finite from {series.t[np.argmin(finite)]:.6g} s"
+    far = np.linalg.norm(series.values[:, [k for k in axes if k < 3]], axis=1) > limit_m
+    if far.any():
+        return f"position off by more than {limit_m:g} m from {series.t[np.argmax(far)]:.6g} s"
+    return ""
+
+
+def coverage(solution: NavSolution, start: float, end: float) -> str:
+    """What of the flight from ``start`` to ``end`` (s) a solution leaves out, or an empty string.
+
+    Up to `UNCOVERED` of it, and a second more, may lack at either end or between two samples: an estimator may align first, or
+    answer once a second, but not pick the part of the flight that it is scored on.
+    """
+    allowed = UNCOVERED * (end - start) + 1.0
+    t = solution.t[(solution.t >= start - allowed) & (solution.t <= end + allowed)]
+    told = f"covers {solution.t[0]:.6g} to {solution.t[-1]:.6g} s of a flight from {start:.6g} to {end:.6g} s"
+    if len(t) == 0 or t[0] - start > allowed or end - t[-1] > allowed:
+        return told
+    gap = int(np.argmax(np.diff(t))) if len(t) > 1 else 0
+    if len(t) > 1 and t[gap + 1] - t[gap] > allowed:
+        return f"says nothing between {t[gap]:.6g} and {t[gap + 1]:.6g} s"
+    return ""
+
+
+def nearest_rows(grid: Array, t: Array) -> NDArray[np.intp]:
+    """Index of the grid time nearest to each ``t``."""
+    k = np.clip(np.searchsorted(grid, t), 1, max(1, len(grid) - 1))
+    k = np.minimum(k, len(grid) - 1)
+    return k - (t - grid[k - 1] < grid[k] - t)
+
+
+def _spans(t: Array, window: Window) -> list[tuple[int, int]]:
+    """Row ranges of the times in each interval (start, end]."""
+    return [
+        (int(np.searchsorted(t, a + _TIME_TOLERANCE, "right")), int(np.searchsorted(t, b + _TIME_TOLERANCE, "right")))
+        for a, b in window.intervals
+    ]
+
+
+def _rms(values: Array) -> Array:
+    return np.sqrt(np.einsum("ij,ij->j", values, values) / len(values))
+
+
+def _only(covariance: Array, used: NDArray[np.bool_]) -> Array:
+    """Covariance with the unused channels taken out: zero off the diagonal, one on it."""
+    both = used[:, :, None] & used[:, None, :]
+    return np.where(both, covariance, np.eye(used.shape[1]))
+
+
+def _quadratic(error: Array, covariance: Array) -> Array:
+    """(K,m), (K,m,m) to e' P^-1 e; infinite where P is singular, as an estimator that is certain of an error deserves."""
+    try:
+        solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        out = np.full(len(error), np.inf)
+        for k in range(len(error)):
+            try:
+                out[k] = error[k] @ np.linalg.solve(covariance[k], error[k])
+            except np.linalg.LinAlgError:
+                continue
+        return out
+    return np.einsum("ij,ij->i", error, solved)

@@ -1,0 +1,1 @@
+"""Flights and data sets for estimators that learn."""
