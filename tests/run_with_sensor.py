@@ -13,9 +13,10 @@ testbed.sensors.__path__.append(sys.argv[1])
 
 import numpy as np  # noqa: E402
 
-from testbed import pipeline, runner  # noqa: E402
+from testbed import pipeline  # noqa: E402
 from testbed.data.records import SensorLog  # noqa: E402
 from testbed.formats import export_log, import_log  # noqa: E402
+from testbed.montecarlo import runner  # noqa: E402
 from testbed.report import render  # noqa: E402
 from testbed.scenario import load_scenario  # noqa: E402
 from testbed.sensors import list_sensors  # noqa: E402

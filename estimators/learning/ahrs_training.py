@@ -32,6 +32,7 @@ from estimators.learning.ahrs_weights import ACTIVATIONS, STEP_S, Weights, assem
 from estimators.learning.networks.tensor_file import read_arrays, write_arrays
 from estimators.methods.ahrs_kf import AhrsKf
 from testbed.base.errors import InputError
+from testbed.base.files import from_json
 
 DEGREES = 180.0 / np.pi
 
@@ -344,6 +345,6 @@ def _write(path: Path, arrays: dict[str, Any], metadata: dict[str, Any]) -> None
 def _read(path: Path, what: str) -> tuple[dict[str, Any], dict[str, Any]]:
     arrays, texts = read_arrays(path, what)
     try:
-        return arrays, {key: json.loads(value) for key, value in texts.items()}
+        return arrays, {key: from_json(value) for key, value in texts.items()}
     except ValueError:
         raise InputError(f"{path}: not {what}") from None

@@ -6,7 +6,6 @@ network is, and `estimators.learning.ahrs_lstm_kernels` takes its steps. SI unit
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from functools import lru_cache
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from estimators.learning.networks.tensor_file import check_shapes, read_arrays
 from estimators.methods.ahrs_kf import AhrsKf, interval
 from testbed.base.errors import InputError
+from testbed.base.files import from_json
 from testbed.data.records import NavSolution, SensorLog
 
 Single = NDArray[np.float32]
@@ -80,7 +80,7 @@ def load_weights(weights: str) -> Weights:
     try:
         arrays, texts = read_arrays(path, "a file of its weights")
         check_shapes(path, arrays, _shapes(arrays))
-        metadata = {key: json.loads(value) for key, value in texts.items()}
+        metadata = {key: from_json(value) for key, value in texts.items()}
         if metadata["activation"] not in ACTIVATIONS or not 0.0 < metadata["step_s"] < math.inf:
             raise ValueError("activation and step_s of the network are not such")
         if not (arrays["unit"] > 0.0).all():

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from testbed.base.errors import InputError
+from testbed.base.files import from_json
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -124,10 +125,10 @@ def sealed_json(data: Mapping[str, Any]) -> bytes:
 def read_json(path: str | Path) -> dict[str, Any]:
     """A table of JSON; where it carries a hash, that must agree. Raises DamagedError naming file and fault."""
     try:
-        data = json.loads(Path(path).read_bytes())
+        data = from_json(Path(path).read_bytes())
     except OSError as error:
         raise DamagedError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise DamagedError(f"{path}: damaged, no JSON ({str(error)[:200]})") from None
     if not isinstance(data, dict):
         raise DamagedError(f"{path}: damaged, holds no table")

@@ -50,6 +50,14 @@ def as_json(data: object) -> bytes:
     return (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode()
 
 
+def from_json(content: str | bytes) -> Any:
+    """What JSON of any origin says. Raises ValueError for all that is none, nesting without end included."""
+    try:
+        return json.loads(content)
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+
+
 def write_json(path: Path, data: object) -> None:
     """`write_atomic` of JSON."""
     write_atomic(path, as_json(data))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from testbed.base.checksums import check_seal, sealed_parquet
 from testbed.base.errors import InputError
-from testbed.base.files import write_atomic
+from testbed.base.files import from_json, write_atomic
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -86,7 +86,7 @@ def read_table(path: str | Path, kind: str) -> tuple[dict[str, Array], dict[str,
     try:
         with pq.ParquetFile(path) as file:
             table = file.read()
-        meta = json.loads((table.schema.metadata or {}).get(b"testbed", b"{}"))
+        meta = from_json((table.schema.metadata or {}).get(b"testbed", b"{}"))
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable Parquet file ({error})") from None
     if not isinstance(meta, dict) or meta.get("kind") != kind:
@@ -99,7 +99,7 @@ def read_header(path: str | Path) -> dict[str, Any]:
     """The header of a file that `read_table` has read."""
     import pyarrow.parquet as pq
 
-    header: dict[str, Any] = json.loads((pq.read_schema(path).metadata or {})[b"testbed"])
+    header: dict[str, Any] = from_json((pq.read_schema(path).metadata or {})[b"testbed"])
     return header
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from testbed.base.errors import InputError, nearest
+from testbed.base.files import from_json
 from testbed.data import specs
 from testbed.data.records import (
     Array,
@@ -278,11 +279,10 @@ def _text(struct: Struct, field: str) -> str:
 
 
 def _stored_spec(struct: Struct, kind: type) -> Any:
-    import json
 
     text = _text(struct, "testbed_spec")
     try:
-        return specs.from_dict(kind, json.loads(text)) if text else None
+        return specs.from_dict(kind, from_json(text)) if text else None
     except (ValueError, TypeError, AttributeError) as error:
         raise InputError(f"{struct.place('testbed_spec')} cannot be read ({error})") from None
 

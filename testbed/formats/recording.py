@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
 from testbed.data.records import Array, SensorLog, Trajectory
@@ -40,15 +41,23 @@ def check_time(t: Array, place: str) -> Array:
     return t
 
 
+LARGEST = 1e12
+"""In SI units; beyond what any recorded quantity is (nanoseconds are seconds here), and its square is still a number."""
+
+
 def check_finite(values: Array, place: str) -> Array:
-    """Raises InputError that names ``place`` and the first sample that is NaN or infinite."""
-    finite = np.isfinite(values).reshape(len(values), int(np.prod(values.shape[1:]))).all(axis=1)
-    if not finite.all():
-        count = int((~finite).sum())
-        raise InputError(
-            f"{place}: sample {int(np.argmin(finite))} is not a finite number ({count} such samples in all)"
-        )
+    """Raises InputError that names ``place`` and the first sample that is NaN, infinite or beyond `LARGEST`."""
+    rows = np.reshape(values, (len(values), int(np.prod(values.shape[1:]))))
+    for sound, fault in ((np.isfinite, "not a finite number"), (_possible, "beyond every quantity that is recorded")):
+        good = sound(rows).all(axis=1)
+        if not good.all():
+            k, count = int(np.argmin(good)), int((~good).sum())
+            raise InputError(f"{place}: sample {k} is {fault} ({count} such samples in all)")
     return values
+
+
+def _possible(values: Array) -> NDArray[np.bool_]:
+    return np.abs(values) <= LARGEST
 
 
 def check_place(lat: Array, lon: Array, place: str) -> None:

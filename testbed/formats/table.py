@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed.base.errors import InputError, nearest, shown
+from testbed.base.files import from_json
 from testbed.data import column_units, specs
 from testbed.data.records import Array, SensorLog, Trajectory
 from testbed.formats.recording import check_finite, check_place, check_time, existing
@@ -93,7 +94,7 @@ class Tables:
         if not path.is_file():
             return {}
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = from_json(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise InputError(f"{path}: cannot be read ({error})") from None
         if not isinstance(content, dict):
@@ -266,7 +267,7 @@ def _numbers(column: pd.Series, place: str) -> Array:
 
 def _time(values: Array, factor: float, base: int | None, place: str) -> tuple[Array, int]:
     """Seconds from ``base``, which the first file sets; whole numbers of ticks are subtracted before scaling."""
-    check_finite(values, place)
+    check_finite(values * factor, place)
     if not len(values):
         return values.astype(np.float64), base or 0
     if base is None:

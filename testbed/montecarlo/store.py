@@ -23,7 +23,7 @@ import numpy as np
 
 from testbed.base.checksums import DamagedError, digest, is_sealed, sealed_parquet, unsealed
 from testbed.base.errors import InputError
-from testbed.base.files import StoreError, left_over, remove, write_atomic, writing
+from testbed.base.files import StoreError, from_json, left_over, remove, write_atomic, writing
 from testbed.montecarlo.folders import MANIFEST, Folder, check_own, read_manifest
 from testbed.montecarlo.work_unit import Outcome, UnitResult
 
@@ -96,7 +96,7 @@ def decode(source: Path | bytes, batch: str = "", run: int | None = None) -> Sto
     where = "stored run" if isinstance(source, bytes) else str(source)
     content = unsealed(source, where)
     table = pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False).combine_chunks()
-    header = json.loads(table.schema.metadata[b"testbed"])
+    header = from_json(table.schema.metadata[b"testbed"])
     if header["batch"] != batch or run not in (None, header["run"]):
         raise DamagedError(
             f"{where}: is run {header['run']} of another batch"

@@ -271,11 +271,17 @@ def _load_details(store: Store) -> dict[str, Any]:
     return found
 
 
+LONGEST_S = 1e9
+"""Thirty years: no run lasts so long, and its samples can still be counted."""
+
+
 def _over_time(path: Path) -> pd.DataFrame:
     """A table of run 0: a column of times, and numbers or marks beside it. Raises ValueError for anything else."""
     frame = pd.read_parquet(path)
     if "time_s" not in frame or not pd.api.types.is_numeric_dtype(frame["time_s"]):
         raise ValueError("it has no column 'time_s' of numbers")
+    if not (frame["time_s"].abs() < LONGEST_S).all():
+        raise ValueError("its 'time_s' holds what is no time of a run")
     return frame
 
 

@@ -20,7 +20,7 @@ from pydantic import AfterValidator, Field
 
 from testbed.base.checksums import check_seal, read_json, sealed_parquet
 from testbed.base.errors import FlightError, InputError
-from testbed.base.files import write_atomic
+from testbed.base.files import from_json, write_atomic
 from testbed.base.schema import Table, validate
 from testbed.base.streams import stream
 from testbed.flight.config import FlightConfig
@@ -283,7 +283,7 @@ def shard_meta(path: Path) -> dict[str, Any]:
     except (OSError, pa.ArrowInvalid) as error:
         raise InputError(f"{path}: not a readable shard ({error})") from None
     try:
-        return dict(json.loads(header.get(b"testbed", b"{}")))
+        return dict(from_json(header.get(b"testbed", b"{}")))
     except (ValueError, TypeError):
         raise InputError(f"{path}: its header is damaged; delete it and make the data set again") from None
 

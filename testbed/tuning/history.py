@@ -16,7 +16,7 @@ import numpy as np
 
 from testbed.base.checksums import DamagedError, sealed_parquet, unsealed
 from testbed.base.errors import InputError
-from testbed.base.files import write_atomic
+from testbed.base.files import from_json, write_atomic
 from testbed.data.records import Array
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def read_evaluations(path: Path, names: list[str], study: str | None = None) -> 
         table = pq.read_table(pa.BufferReader(unsealed(path)))
     except DamagedError as error:
         raise InputError(f"{error}; delete it to start this search anew") from None
-    header = json.loads(table.schema.metadata[b"testbed"])
+    header = from_json(table.schema.metadata[b"testbed"])
     if header["search"] != path.stem or study not in (None, header["study"]):
         raise InputError(f"{path}: holds the evaluations of another search or study; delete it to start this one anew")
     if table.column_names != [*names, "objective", "seconds"]:

@@ -93,7 +93,7 @@ def test_a_bad_estimator_costs_its_own_row(tmp_path):
     status = result.runs.set_index(["estimator", "run"])["status"]
     assert (status["good"] == "ok").all() and len(status["good"]) == 20
     assert status["raises"][lambda s: s != "ok"].to_dict() == dict.fromkeys(
-        (3, 13), "failed: ValueError: as told (monte_carlo.py:108)"
+        (3, 13), "failed: ValueError: as told (monte_carlo.py:109)"
     )
     assert status["nan"][lambda s: s != "ok"].to_dict() == dict.fromkeys((1, 6, 11, 16), "diverged")
     assert status["hangs"][lambda s: s != "ok"].to_dict() == {1: "timeout"}

@@ -1,6 +1,7 @@
 """Scenarios that ended in a traceback, a hang or worse: one message with file, key and what would be right, exit code 2."""
 
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -140,7 +141,7 @@ def test_an_error_of_the_bench_is_one_line_with_a_way_to_report_it(error, workpl
     assert code == 1 and len(said.splitlines()) == 1
     assert type(error).__name__ in said and "test_broken_cases.py:" in said
     assert "to report it, send the output of 'testbed fly quickstart --debug'" in said
-    monkeypatch.setattr(cli.sys, "argv", ["testbed", "fly", "quickstart", "--debug"])
+    monkeypatch.setattr(sys, "argv", ["testbed", "fly", "quickstart", "--debug"])
     with pytest.raises(type(error)):
         cli.main()
 
@@ -184,7 +185,7 @@ def test_a_row_may_be_called_like_a_formula_or_a_sentence(workplace):
 def test_the_help_names_the_switch(workplace):
     from typer.testing import CliRunner
 
-    assert "--debug" in CliRunner().invoke(cli.app, ["--help"]).output
+    assert "--debug" in CliRunner().invoke(cli.app.app, ["--help"]).output
 
 
 WORK = ("html-injection", "label-100", "s2-12-47", "tex-label", "pf")

@@ -192,7 +192,7 @@ OWN = {"report": ("result",)}
 @pytest.fixture
 def driver(sound):
     environment = os.environ | {"TESTBED_CACHE": str(sound / ".cache"), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, str(Path(__file__).with_name("damage_driver.py"))]
+    command = [sys.executable, str(Path(__file__).parents[1] / "damage_driver.py")]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, env=environment, **pipes) as process:
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from estimators.learning.networks.tensor_file import check_shapes, read_arrays, write_arrays
 from testbed.base.errors import InputError
+from testbed.base.files import from_json
 
 Array = NDArray[np.float64]
 
@@ -104,7 +105,7 @@ def load_networks(path: str | Path) -> tuple[dict[str, Mlp], dict[str, Any]]:
     path = Path(path)
     arrays, texts = read_arrays(path, "a network file")
     try:
-        header = json.loads(texts["testbed"])
+        header = from_json(texts["testbed"])
         neurons, meta = dict(header["neurons"]), dict(header["meta"])
     except (KeyError, ValueError, TypeError):
         raise InputError(f"{path}: a safetensors file, but not of this bench's networks") from None

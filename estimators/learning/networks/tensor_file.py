@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
+from testbed.base.files import from_json
 
 CHECKSUM = "checksum"
 _BLANK = "0" * 64
@@ -67,7 +68,7 @@ def read_arrays(path: Path, what: str) -> tuple[dict[str, NDArray[Any]], dict[st
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     try:
         arrays = load(content)
-        texts = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")]).get("__metadata__", {})
+        texts = from_json(content[8 : 8 + int.from_bytes(content[:8], "little")]).get("__metadata__", {})
     except (SafetensorError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: not {what} ({str(error) or 'no safetensors file'})") from None
     if (digest := texts.pop(CHECKSUM, None)) is not None:

@@ -80,7 +80,7 @@ def test_an_edited_callee_changes_its_callers(copy):
     kept = compiled(before)
     assert any("strapdown" in path.name for path in kept) and any("mine" in path.name for path in kept)
     assert call()[2] == before and compiled(before) == kept  # nothing is compiled twice
-    source = folder / "testbed" / "rotations.py"
+    source = folder / "testbed" / "physics" / "rotations.py"
     text = source.read_text()
     source.write_text(text.replace("a[0] * b[1] - a[1] * b[0])", "3.0 * (a[0] * b[1] - a[1] * b[0]))"))
     *values, after = call(first="import numba")
