@@ -51,7 +51,7 @@ class Stretch(NamedTuple):
 
 @dataclass(frozen=True)
 class NarxAiding:
-    """Parameters of both schemes. Weights come from `fit`, or by the name ``networks`` from what `prepare` stored."""
+    """Parameters of both schemes. Weights come from `fit`, or by the name ``networks`` from what `learn` stored."""
 
     filter: Kind = "ukf"
     inputs: str | Sequence[str] = "mrmr"

@@ -10,38 +10,16 @@ import importlib.util
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping
-from functools import cache, cached_property
+from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from testbed.base.errors import OWN, InputError, nearest, shown
-from testbed.data.records import NavSolution, SensorLog, Trajectory
+from testbed.data.estimator import Estimator
 
 GROUP = "testbed.estimators"
-
-
-class Estimator(Protocol):
-    """What the bench asks of a method under test.
-
-    It may declare the sensors that it uses as a class attribute, ``sensors = ("imu", "gnss")``: then a run tells of those
-    in the log that no estimator uses.
-    """
-
-    name: str
-
-    def run(self, log: SensorLog) -> NavSolution:
-        """The navigation solution that this method makes of a log."""
-        ...
-
-
-class Trainable(Estimator, Protocol):
-    """An estimator that learns before it runs."""
-
-    def fit(self, flights: Iterable[tuple[SensorLog, Trajectory]]) -> None:
-        """Learn from flights whose truth is known."""
-        ...
 
 
 _plugins: dict[str, type] = {}
@@ -96,29 +74,6 @@ def _check_kinds(name: str, kind: type, params: Mapping[str, Any]) -> None:
         if isinstance(given, str | bool) if number else not isinstance(given, type(usual)):
             what = "a number" if number else "a text" if isinstance(usual, str) else "true or false"
             raise InputError(f"estimator '{name}': '{key}' should be {what} like {usual!r}, got {shown(given)}")
-
-
-def fast_path(kind: type, name: str) -> Callable[..., Any] | None:
-    """The option ``name`` of an estimator class (``searcher`` ...), which stands in for its ``run``; None where it must not.
-
-    It stands in for the ``run`` of the class that defines it. A class further down that has a ``run`` of its own, or another
-    version of any method that this ``run`` may call, is another filter: there it needs its own fast path.
-    """
-    family = kind.__mro__
-    owner = next((k for k, part in enumerate(family) if name in vars(part)), None)
-    if owner is None or getattr(kind, name) is None:
-        return None
-    methods = {key for part in family[owner:] for key, value in vars(part).items() if _is_method(key, value)}
-    changed = (key for part in family[:owner] for key in vars(part) if key in methods)
-    if next(changed, None) is not None:
-        return None
-    found: Callable[..., Any] = getattr(kind, name)
-    return found
-
-
-def _is_method(key: str, value: object) -> bool:
-    code = inspect.isfunction(value) or isinstance(value, staticmethod | classmethod | property | cached_property)
-    return code and not (key.startswith("__") and key.endswith("__"))
 
 
 def parameter_names(kind: type) -> list[str] | None:

@@ -18,8 +18,9 @@ import numpy as np
 
 from testbed import pipeline
 from testbed.base.errors import InputError
+from testbed.data.estimator import fast_path
 from testbed.data.records import Array, Innovations, SensorErrors, SensorLog, Trajectory
-from testbed.data.registry import estimator_class, fast_path, load_plugin, make_estimator
+from testbed.data.registry import estimator_class, load_plugin, make_estimator
 from testbed.scenario import Scenario
 from testbed.scenario.windows import Window
 from testbed.scoring.metrics import divergence, error_series, score

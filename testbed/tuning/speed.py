@@ -17,7 +17,8 @@ import numpy as np
 
 from testbed.base.errors import InputError
 from testbed.base.files import write_atomic
-from testbed.data.registry import estimator_class, fast_path, make_estimator
+from testbed.data.estimator import fast_path
+from testbed.data.registry import estimator_class, make_estimator
 from testbed.scenario import Scenario
 from testbed.tuning.config import tune_config, tuned_entry
 from testbed.tuning.objective import Objective, Task, record, scenario_space
