@@ -118,7 +118,11 @@ def integrate(t_start, t, gyro, accel, lat, lon, h, v_n, q_nb, accel_bias, gyro_
         lat, lon, h, v, q, _ = advance(lat, lon, h, v, q, rotation, change, dt)
         angle_before, velocity_before = angle, dv
         now = t[k]
-        store_state(k, lat, lon, h, v, q, lla, velocity, quaternion)
+        lla[k, 0], lla[k, 1], lla[k, 2] = lat, lon, h
+        for i in range(3):
+            velocity[k, i] = v[i]
+        for i in range(4):
+            quaternion[k, i] = q[i]
 
 
 @njit(cache=True)
@@ -127,13 +131,3 @@ def increments(gyro, accel, gyro_bias, accel_bias, dt):
     angle = ((gyro[0] - gyro_bias[0]) * dt, (gyro[1] - gyro_bias[1]) * dt, (gyro[2] - gyro_bias[2]) * dt)
     velocity = ((accel[0] - accel_bias[0]) * dt, (accel[1] - accel_bias[1]) * dt, (accel[2] - accel_bias[2]) * dt)
     return angle, velocity
-
-
-@njit(cache=True)
-def store_state(k, lat, lon, h, v_n, q_nb, lla, velocity, quaternion):
-    """Row k of the output arrays."""
-    lla[k, 0], lla[k, 1], lla[k, 2] = lat, lon, h
-    for i in range(3):
-        velocity[k, i] = v_n[i]
-    for i in range(4):
-        quaternion[k, i] = q_nb[i]

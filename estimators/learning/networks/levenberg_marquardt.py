@@ -74,7 +74,7 @@ def train(
     held_back[rng.permutation(len(y))[: int(how.validation_share * len(y))]] = True
     weights, epochs, error, check, reason = mlp_kernels.train(
         network.weights, network.neurons, inputs[~held_back], targets[~held_back], inputs[held_back], targets[held_back],
-        how.epochs, how.goal, how.patience, how.decay, how.tolerance, how.damping, how.damping_max,
+        mlp_kernels.Settings(**{name: getattr(how, name) for name in mlp_kernels.Settings._fields}),
     )  # fmt: skip
     scale = float(network.output_scaling[1])
     check_rmse = scale * float(np.sqrt(check)) if held_back.any() else float("nan")

@@ -7,6 +7,8 @@ weights and the output bias. Plain loops without BLAS, so that a result does not
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -131,9 +133,23 @@ def solve_damped(gram, damping, right, factor, solution):
     return True
 
 
+class Settings(NamedTuple):
+    """How `train` goes on: see `levenberg_marquardt.Training`; ``decay`` and ``goal`` as there."""
+
+    epochs: int
+    goal: float
+    patience: int
+    decay: float
+    tolerance: float
+    damping: float
+    damping_max: float
+
+
 @njit(cache=True)
-def train(weights, neurons, x, y, x_check, y_check, epochs, goal, patience, decay, tolerance, damping, damping_max):
+def train(weights, neurons, x, y, x_check, y_check, how):
     """Levenberg-Marquardt from ``weights``: minimise the sum of squares plus ``decay`` times the squared weights.
+
+    ``how`` is a `Settings`.
 
     After each epoch the error on (``x_check``, ``y_check``) is taken; the weights with the smallest one are returned
     and ``patience`` epochs in a row without a new best end the training (no check rows: the last weights are best).
@@ -149,26 +165,26 @@ def train(weights, neurons, x, y, x_check, y_check, epochs, goal, patience, deca
     gradient, step, rows = np.empty(size), np.empty(size), np.empty((_BLOCK, size))
     checked = x_check.shape[0] > 0
     best_check = squared_error(current, neurons, x_check, y_check)
-    failures, reason, used = 0, RUNNING, 0
+    failures, reason, used, damping = 0, RUNNING, 0, how.damping
     error = squared_error(current, neurons, x, y)
-    cost = error + decay * np.sum(current * current)
-    while used < epochs and reason == RUNNING:
+    cost = error + how.decay * np.sum(current * current)
+    while used < how.epochs and reason == RUNNING:
         normal_equations(current, neurons, x, y, gram, gradient, rows)
         largest = 0.0
         for i in range(size):
-            gram[i, i] += decay
-            gradient[i] += decay * current[i]
+            gram[i, i] += how.decay
+            gradient[i] += how.decay * current[i]
             largest = max(largest, abs(gradient[i]))
         if largest < 1e-10:
             reason = FLAT
             break
         improved = False
-        while not improved and damping <= damping_max:
+        while not improved and damping <= how.damping_max:
             if solve_damped(gram, damping, gradient, factor, step):
                 for i in range(size):
                     trial[i] = current[i] - step[i]
                 trial_error = squared_error(trial, neurons, x, y)
-                trial_cost = trial_error + decay * np.sum(trial * trial)
+                trial_cost = trial_error + how.decay * np.sum(trial * trial)
                 improved = trial_cost < cost
             if not improved:
                 damping *= 10.0
@@ -187,11 +203,11 @@ def train(weights, neurons, x, y, x_check, y_check, epochs, goal, patience, deca
                 best[:] = current
             else:
                 failures += 1
-        if error <= goal * x.shape[0]:
+        if error <= how.goal * x.shape[0]:
             reason = GOAL
-        elif progress < tolerance:
+        elif progress < how.tolerance:
             reason = FLAT
-        elif checked and failures >= patience:
+        elif checked and failures >= how.patience:
             reason = OVERFITTING
     if not checked:
         best[:] = current
