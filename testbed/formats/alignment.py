@@ -57,11 +57,14 @@ def align(
     ``t_start`` is the beginning of the first IMU interval. The first fix makes the initial position and velocity, so it
     is not offered to the filter a second time. Raises InputError where neither GNSS nor a reference can give a start.
     """
-    if "reference" in (config.start, config.attitude) and reference is None:
+    start = config.start
+    if start == "auto":
+        start = "gnss" if (gnss is not None and len(gnss.t)) or reference is None else "reference"
+    if "reference" in (start, config.attitude) and reference is None:
         raise InputError(f"{place}: the initial state is to come from the reference, but the recording has none")
-    if config.start == "gnss" and (gnss is None or not len(gnss.t)):
+    if start == "gnss" and (gnss is None or not len(gnss.t)):
         raise InputError(f'{place}: without GNSS fixes the initial state needs [recording.initial] start = "reference"')
-    source = gnss if config.start == "gnss" else reference
+    source = gnss if start == "gnss" else reference
     assert source is not None
     needed = max(
         float(source.t[0]),
@@ -71,7 +74,7 @@ def align(
     attitude, attitude_std = _attitude(config, imu, gnss, mag, reference, t)
     q_nb = np.array(euler_to_quat(*attitude))
     jacobian = np.array(euler_error_matrix(*attitude))
-    if config.start == "gnss":
+    if start == "gnss":
         assert gnss is not None
         lat, lon, h, v_n, motion_std, gnss = from_first_fix(gnss, t, q_nb)
     else:

@@ -17,6 +17,7 @@ PARTS = {
     "navego": ("imu", "gnss", "ref", "mag", "baro"),
     "table": ("imu", *SENSORS, "reference"),
     "ulog": ("log",),
+    "broad": ("trial",),
 }
 """Format -> names that ``files`` may use."""
 
@@ -24,8 +25,8 @@ PARTS = {
 class AlignmentConfig(Table):
     """``[recording.initial]``: where the initial state comes from when the files state none (NaveGo's state attitude)."""
 
-    start: Literal["gnss", "reference"] = "gnss"
-    """Position and velocity."""
+    start: Literal["auto", "gnss", "reference"] = "auto"
+    """Position and velocity; auto: from GNSS where there is one, else from the reference."""
     attitude: Literal["level", "reference"] = "level"
     """Roll and pitch by levelling, or all three angles from the reference."""
     heading: Literal["auto", "course", "mag", "none"] = "auto"
@@ -46,7 +47,7 @@ class AlignmentConfig(Table):
 class RecordingConfig(Table):
     """``[recording]``. Relative paths start at the scenario's folder."""
 
-    format: Literal["navego", "table", "ulog"]
+    format: Literal["navego", "table", "ulog", "broad"]
     dir: str = "."
     files: dict[str, str] = Field(default_factory=dict)
     """Part -> file in ``dir``; default names where a part is absent."""

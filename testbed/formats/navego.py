@@ -32,7 +32,15 @@ from testbed.data.records import (
 )
 from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 from testbed.formats.alignment import REFERENCE_STD, Aligned, cut_before, from_first_fix, reference_at
-from testbed.formats.recording import Recording, check_finite, check_place, check_time, existing, reference_on_grid
+from testbed.formats.recording import (
+    Recording,
+    check_finite,
+    check_place,
+    check_time,
+    existing,
+    read_mat,
+    reference_on_grid,
+)
 from testbed.physics.rotations import euler_error_matrix, euler_to_quat, eulers_to_quats
 
 STRUCTS = ("imu", "gnss", "ref", "mag", "baro")
@@ -40,7 +48,7 @@ _MARKOV_PEAK = TriadSpec(bias_instability=1.0).gauss_markov_sigma()
 
 
 def load(
-    folder: str | Path, files: Mapping[str, str] | None = None, sampling: str = "interval", start: str = "gnss"
+    folder: str | Path, files: Mapping[str, str] | None = None, sampling: str = "interval", start: str = "auto"
 ) -> Recording:
     """Import a folder of NaveGo structs.
 
@@ -137,19 +145,11 @@ def _find(folder: Path, files: Mapping[str, str]) -> dict[str, Path]:
 
 
 def _read_struct(path: Path, kind: str) -> tuple[str, dict[str, Array]]:
-    from scipy.io import loadmat
-
-    try:
-        content = loadmat(path)
-    except NotImplementedError:
-        raise InputError(f"{path}: a MATLAB 7.3 (HDF5) file; save it in MATLAB with save(..., '-v7')") from None
-    except Exception as error:  # scipy raises anything from zlib.error to IndexError on damaged files
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise InputError(f"{path}: not a readable .mat file, corrupt or truncated ({reason})") from None
-    found = {k: v for k, v in content.items() if not k.startswith("__") and getattr(v, "dtype", np.dtype("f8")).names}
+    content = read_mat(path)
+    found = {k: v for k, v in content.items() if getattr(v, "dtype", np.dtype("f8")).names}
     name = next((k for k in (kind, f"{kind}1") if k in found), None) or (next(iter(found)) if len(found) == 1 else None)
     if name is None:
-        others = [k for k in content if not k.startswith("__")]
+        others = list(content)
         raise InputError(f"{path}: holds no struct '{kind}' (variables: {', '.join(others) or 'none'})")
     struct = found[name]
     if struct.size != 1:
@@ -249,8 +249,10 @@ def _initial(
     struct: Struct, imu: ImuSamples, gnss: GnssFixes | None, reference: Trajectory | None, start: str
 ) -> Aligned:
     """Attitude from ini_align with ini_align_err; place from the first fix or the reference; biases zero, turn-on sigma."""
-    if start not in ("gnss", "reference"):
-        raise InputError(f"navego: start '{start}' is unknown; {nearest(start, ('gnss', 'reference'))}")
+    if start not in ("auto", "gnss", "reference"):
+        raise InputError(f"navego: start '{start}' is unknown; {nearest(start, ('auto', 'gnss', 'reference'))}")
+    if start == "auto":
+        start = "reference" if gnss is None and reference is not None else "gnss"
     t, spec = float(struct.time()[0]), imu.spec
     roll, pitch, yaw = check_finite(struct.vector("ini_align"), struct.place("ini_align"))
     euler_std = check_finite(struct.vector("ini_align_err"), struct.place("ini_align_err"))

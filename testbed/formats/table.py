@@ -65,7 +65,9 @@ class Tables:
         self.folder = folder
         self.parts: dict[str, dict[str, Array]] = {}
         base: int | None = None
-        for part, path in _find(folder, files).items():
+        found = _find(folder, files)
+        self.places = {part: str(path) for part, path in found.items()}
+        for part, path in found.items():
             self.parts[part], base = _read_part(path, part, _mapping_of(part, columns), base)
 
     def block(self, part: str, stems: tuple[str, ...] | list[str]) -> Array:

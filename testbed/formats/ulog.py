@@ -21,8 +21,8 @@ from testbed.base.errors import InputError, MissingExtra
 from testbed.data.records import Array, BaroSamples, GnssFixes, ImuSamples, MagSamples
 from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 from testbed.formats.config import RecordingConfig
-from testbed.formats.importers import Raw, finish
-from testbed.formats.recording import Recording, check_finite, check_place, check_time, existing
+from testbed.formats.raw import Raw
+from testbed.formats.recording import check_finite, check_place, check_time, existing
 
 IMU_TOPICS, GNSS_TOPICS = ("sensor_combined", "vehicle_imu"), ("vehicle_gps_position", "sensor_gps")
 MAG_TOPICS, BARO_TOPICS = ("vehicle_magnetometer", "sensor_mag"), ("vehicle_air_data", "sensor_baro")
@@ -52,15 +52,13 @@ EARTH_RADIUS = 6371000.0
 Topic = dict[str, Array]
 
 
-def load(config: RecordingConfig, folder: Path) -> Recording:
-    """Read what ``config`` describes. Raises InputError that names the file and what is wrong with it."""
-    root = folder / config.dir
-    return finish(config, folder, read(root, config.files, config.allow_truncated), str(root))
+def read(config: RecordingConfig, folder: Path) -> Raw:
+    """Sample tables of one .ulg file (part ``log``; default: the only one in the folder)."""
+    return read_file(_file(folder / config.dir, config.files), config.allow_truncated)
 
 
-def read(folder: Path, files: Mapping[str, str], allow_truncated: bool = False) -> Raw:
-    """Sample tables of one .ulg file in ``folder`` (part ``log``; default: the only one there)."""
-    path = _file(folder, files)
+def read_file(path: Path, allow_truncated: bool = False) -> Raw:
+    """Sample tables of a .ulg file. Raises InputError that names what is wrong with it."""
     log = _open(path, allow_truncated)
     topics = {(data.name, data.multi_id): data.data for data in log.data_list}
     imu_us, gyro, accel = _imu(path, topics)
@@ -69,7 +67,7 @@ def read(folder: Path, files: Mapping[str, str], allow_truncated: bool = False) 
     if len(imu_us) - first < 4:
         raise InputError(f"{path}: the IMU ends {(gnss_us[0] - imu_us[-1]) * 1e-6:.3g} s before the first GNSS fix")
     clock = _Clock(imu_us[first])
-    raw = Raw(name=path.stem)
+    raw = Raw(name=path.stem, places=dict.fromkeys(("imu", "gnss", "mag", "baro", "reference"), str(path)))
     t = clock.seconds(imu_us[first + 1 :])
     rate = float(np.round(1.0 / np.median(np.diff(t)), 3))
     raw.imu = ImuSamples(t, gyro[first + 1 :], accel[first + 1 :], replace(DEFAULT_IMU, rate_hz=rate))
