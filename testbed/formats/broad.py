@@ -53,6 +53,7 @@ def read(config: RecordingConfig, folder: Path) -> Raw:
         check_finite(values, f"{path}: {name}")
     t = np.arange(n) / rate
     raw = Raw(name=path.stem, t_start=-1.0 / rate, places=dict.fromkeys(("imu", "mag", "reference"), str(path)))
+    raw.stated = {"mag"}  # n is the reference's own frame
     raw.imu = ImuSamples(t, gyro * FLIP, accel * FLIP, ImuSpec("BROAD IMU", rate))
     raw.mag = MagSamples(t, field * FLIP, MagSpec("BROAD magnetometer", rate))
     seen = np.isfinite(quat).all(axis=1) & np.isfinite(place).all(axis=1)

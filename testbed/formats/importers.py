@@ -14,82 +14,145 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.base.errors import InputError
-from testbed.data.records import (
-    SensorLog,
-    Trajectory,
-)
-from testbed.formats.alignment import align, cut_before
+from testbed.base.errors import InputError, shown
+from testbed.data.records import Array, GnssFixes, SensorLog, Trajectory
+from testbed.formats import plausibility
+from testbed.formats.alignment import LEVELLING, Given, align, cut_before, turned
 from testbed.formats.config import RecordingConfig
+from testbed.formats.first_motion import with_derived_velocity
 from testbed.formats.raw import Raw
 from testbed.formats.recording import Recording, reference_on_grid
 from testbed.formats.table_samples import KINDS
+from testbed.physics.rotations import euler_to_quat, quat_to_matrix
 
 READERS = {
     "table": "testbed.formats.table_samples",
+    "navego": "testbed.formats.navego",
     "ulog": "testbed.formats.ulog",
     "broad": "testbed.formats.broad",
 }
 """Format -> module with a function ``read(config, folder) -> Raw``."""
+PLACEMENT = ("clock_s", "mounting_deg")
+"""Keys of ``[recording.imu]`` and so on that say how the sensor's samples are to be read, not how good it is."""
+FIELD_YEARS = (2010.0, 2029.9)
+USUAL_YEAR = 2025.0
+"""Of the magnetic field where no file tells the date: it turns by 0.1 to 0.2° a year, beside 5° of an uncalibrated compass."""
 
 
 def load(config: RecordingConfig, folder: Path) -> Recording:
     """Read what ``config`` describes. Raises InputError that names the file and what is wrong with it."""
-    root = folder / config.dir
-    if config.format == "navego":
-        return _load_navego(config, root, folder)
     reader = importlib.import_module(READERS[config.format])
-    return finish(config, folder, reader.read(config, folder), str(root))
-
-
-def _load_navego(config: RecordingConfig, root: Path, folder: Path) -> Recording:
-    from testbed.formats import navego
-
-    recording = navego.load(root, config.files, config.sampling, config.initial.start)
-    log = recording.log
-    changed = {kind: _respecify(config, folder, kind, getattr(log, kind)) for kind in ("imu", "gnss", "mag", "baro")}
-    given = config.initial.model_fields_set
-    idle = without_effect(config, () if "start" in given and navego.states_initial(root, config.files) else ("start",))
-    return _cut(config, Recording(replace(log, **changed), recording.reference, idle), str(root))
-
-
-def without_effect(config: RecordingConfig, heeded: tuple[str, ...]) -> tuple[str, ...]:
-    """A note on the keys of ``[recording.initial]`` that were given but not ``heeded``: the files state the initial state."""
-    idle = sorted(set(config.initial.model_fields_set) - set(heeded))
-    keys = ", ".join(f"recording.initial.{key}" for key in idle)
-    return (f"{keys} has no effect: the files of the recording state the initial state",) if idle else ()
+    return finish(config, folder, reader.read(config, folder), str(folder / config.dir))
 
 
 def finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Recording:
-    """Specifications, reference on the IMU grid, initial state, wanted time."""
-    assert raw.imu is not None
-    samples = {kind: _respecify(config, folder, kind, getattr(raw, kind)) for kind in ("imu", "gnss", "mag", "baro")}
-    for kind in ("imu", "gnss"):
-        if samples[kind] is not None and kind not in raw.stated and not getattr(config, kind):
-            raise InputError(
-                f"{place}: nothing states how good the {kind} is; give [recording.{kind}] a model of the catalogue or its figures"
-            )
-    imu, gnss, t_start, initial = samples["imu"], samples["gnss"], raw.t_start, raw.initial
+    """Specifications, plausibility, reference, initial state, wanted time."""
+    _specify(config, folder, raw, place)
+    notes = [*raw.notes, *plausibility.check(raw), *_derive_velocities(raw)]
+    imu, gnss, t_start, initial = raw.imu, raw.gnss, raw.t_start, raw.initial
+    assert imu is not None
     if config.start_s is not None and config.start_s > t_start:
         imu, t_start = cut_before(imu, t_start, config.start_s, place)
         gnss, initial = _after(gnss, t_start), None
-    grid = np.concatenate([[t_start], imu.t])
-    reference = reference_on_grid(grid, raw.motion, place, raw.own_times) if raw.motion is not None else None
-    if reference is not None:
-        reference = replace(reference, phases=raw.phases)
-    idle = () if initial is None else without_effect(config, ())
-    if initial is None:
-        aligned = align(config.initial, imu, gnss, samples["mag"], reference, t_start, place)
+    reference = _reference(raw, np.concatenate([[t_start], imu.t]), place)
+    notes += _magnetic_field(config, raw, gnss, reference)
+    asked = config.initial.model_fields_set
+    if initial is None or asked & {*LEVELLING, "start"}:
+        given = Given(raw.attitude, raw.gyro_bias, raw.gnss_position_only)
+        aligned = align(config.initial, imu, gnss, raw.mag, reference, t_start, place, given)
         imu, gnss, initial = aligned.imu, aligned.gnss, aligned.initial
-    aiding = {kind: _after(values, initial.t) for kind, values in {**samples, **raw.others}.items() if kind != "imu"}
-    log = SensorLog(imu, initial, name=raw.name, aiding=aiding | {"gnss": gnss})
-    return _cut(config, Recording(log, reference, (*raw.notes, *idle)), place)
+        notes += aligned.notes
+    elif asked:
+        initial = turned(initial, config.initial)
+    aiding = {"gnss": gnss, "mag": raw.mag, "baro": raw.baro, **raw.others}
+    aiding = {kind: _after(samples, initial.t) for kind, samples in aiding.items()}
+    log = SensorLog(imu, initial, name=raw.name, aiding=aiding)
+    return _cut(config, Recording(log, reference, tuple(notes)), place)
 
 
-def _respecify(config: RecordingConfig, folder: Path, kind: str, samples: Any) -> Any:
-    """Samples with the specification that the scenario gives, where it gives one."""
-    table = dict(getattr(config, kind))
-    if not table or samples is None:
+def _reference(raw: Raw, grid: Array, place: str) -> Trajectory | None:
+    reference = raw.reference
+    if reference is None and raw.motion is not None:
+        reference = reference_on_grid(grid, raw.motion, place, raw.own_times)
+    return None if reference is None else replace(reference, phases=raw.phases)
+
+
+def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> None:
+    """Samples at their place and time, with the specification that the scenario gives, else the files'."""
+    assert raw.imu is not None
+    for kind in ("imu", "gnss", "mag", "baro"):
+        if (samples := getattr(raw, kind)) is None:
+            continue
+        table = dict(getattr(config, kind))
+        clock, mounting = (table.pop(key, None) for key in PLACEMENT)
+        if kind not in raw.stated and not table and kind in ("imu", "gnss"):
+            raise InputError(
+                f"{place}: nothing states how good the {kind} is; give [recording.{kind}] a model of the catalogue or its figures"
+            )
+        if clock is not None:
+            shift = _number(clock, f"[recording.{kind}] clock_s")
+            samples = replace(samples, t=samples.t + shift)
+            raw.t_start += shift if kind == "imu" else 0.0
+        if mounting is not None:
+            samples = _mounted(kind, samples, mounting)
+        setattr(raw, kind, _respecify(config, folder, kind, samples, table))
+
+
+def _derive_velocities(raw: Raw) -> list[str]:
+    """Velocities of a receiver that states none."""
+    if raw.gnss is None or not raw.gnss_position_only:
+        return []
+    raw.gnss = with_derived_velocity(raw.gnss)
+    sigma = float(np.median(raw.gnss.measurement_std()[:, 3])) if len(raw.gnss.t) else 0.0
+    return [
+        f"{raw.place('gnss')}: states no velocity; velocities are differences of its positions, with a 1 sigma of"
+        f" {sigma:.2g} m/s in the middle"
+    ]
+
+
+def _number(value: Any, key: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise InputError(f"{key} is {shown(value)}, expected a number of seconds to add to its times")
+    return float(value)
+
+
+def _mounted(kind: str, samples: Any, angles: Any) -> Any:
+    """Samples turned from the sensor's axes to b by the sensor's roll, pitch and yaw in the vehicle."""
+    fields = {"imu": ("gyro", "accel"), "mag": ("field",)}.get(kind)
+    if fields is None:
+        raise InputError(f"[recording.{kind}] mounting_deg: a {kind} has no axes")
+    numbers = isinstance(angles, list | tuple) and all(isinstance(a, int | float) for a in angles)
+    if not numbers or len(angles) != 3:
+        raise InputError(f"[recording.{kind}] mounting_deg is {shown(angles)}, expected [roll, pitch, yaw]")
+    matrix = np.array(quat_to_matrix(euler_to_quat(*np.radians(angles))))
+    return replace(samples, **{name: getattr(samples, name) @ matrix.T for name in fields})
+
+
+def _magnetic_field(
+    config: RecordingConfig, raw: Raw, gnss: GnssFixes | None, reference: Trajectory | None
+) -> list[str]:
+    """Give the magnetometer the declination and field of the World Magnetic Model, where nothing states them."""
+    if raw.mag is None or "mag" in raw.stated:
+        return []
+    source = gnss if gnss is not None and len(gnss.t) else reference
+    if source is None:
+        return []
+    from testbed.sensors.magnetometer import field_n
+
+    year = USUAL_YEAR if raw.utc is None else 1970.0 + raw.utc / (365.2425 * 86400.0)
+    year = float(np.clip(year, *FIELD_YEARS))
+    field = field_n(float(source.lat[0]), float(source.lon[0]), float(source.h[0]), year)
+    declination = float(np.arctan2(field[1], field[0]))
+    raw.mag = replace(raw.mag, spec=replace(raw.mag.spec, declination=declination, field_n=field))
+    if config.initial.declination_deg is not None:
+        return []
+    dated = f"in {year:.1f}" if raw.utc is not None else f"in {year:.1f} (no file tells the date)"
+    return [f"declination {np.degrees(declination):.2f}° from the World Magnetic Model at the first fix, {dated}"]
+
+
+def _respecify(config: RecordingConfig, folder: Path, kind: str, samples: Any, table: dict[str, Any]) -> Any:
+    """Samples with the specification of ``table``, where it has one."""
+    if not table:
         return samples
     from testbed.sensors import catalog
 

@@ -9,13 +9,15 @@ import numpy as np
 
 from testbed.base.errors import InputError
 from testbed.data import specs
-from testbed.data.records import BaroSamples, GnssFixes, ImuSamples, InitialState, MagSamples
+from testbed.data.records import Array, BaroSamples, GnssFixes, ImuSamples, InitialState, MagSamples
 from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 from testbed.formats.config import RecordingConfig
 from testbed.formats.raw import Raw
-from testbed.formats.table import OPTIONAL, Tables, read_mapping
+from testbed.formats.table import STD, VELOCITY, Tables, read_mapping
 from testbed.sensors.registry import SENSORS
 
+EARLIEST_UTC, LATEST_UTC = 9.46e8, 4.1e9
+"""Unix times of the years 2000 and 2100: times between them are taken as dates."""
 KINDS: dict[str, type] = {"imu": ImuSpec} | {kind: sensor.spec for kind, sensor in SENSORS.items()}
 
 
@@ -48,6 +50,7 @@ def samples_of(tables: Tables, sampling: str) -> Raw:
     if raw.initial is not None:
         raw.t_start = raw.initial.t
     raw.imu = ImuSamples(t, gyro, accel, rate)
+    raw.utc = float(tables.base) if EARLIEST_UTC < tables.base < LATEST_UTC else None
     _add_aiding(raw, tables, spec, _stored_outages(stored, tables.folder))
     return raw
 
@@ -55,13 +58,12 @@ def samples_of(tables: Tables, sampling: str) -> Raw:
 def _add_aiding(raw: Raw, tables: Tables, spec: dict[str, Any], outages: tuple[tuple[float, float], ...]) -> None:
     parts = tables.parts
     if (g := parts.get("gnss")) is not None:
-        named = [key for key in OPTIONAL["gnss"] if key in g]
-        if named and len(named) < 6:
-            raise InputError(
-                f"{tables.folder}: gnss has {', '.join(named)}, but not all of {', '.join(OPTIONAL['gnss'])}"
-            )
-        std = tables.block("gnss", named) if named else None
-        v_n = tables.block("gnss", ["v_north", "v_east", "v_down"])
+        std = _stated_std(raw, tables)
+        velocity = [key for key in VELOCITY if key in g]
+        if velocity and len(velocity) < 3:
+            raise InputError(f"{raw.place('gnss')}: has {', '.join(velocity)}, but not all of {', '.join(VELOCITY)}")
+        raw.gnss_position_only = not velocity
+        v_n = tables.block("gnss", list(VELOCITY)) if velocity else np.zeros((len(g["time"]), 3))
         raw.gnss = GnssFixes(
             g["time"], g["lat"], g["lon"], g["alt"], v_n, spec["gnss"] or GnssSpec("unknown"), outages, std
         )
@@ -80,6 +82,21 @@ def _add_aiding(raw: Raw, tables: Tables, spec: dict[str, Any], outages: tuple[t
             raise InputError(f"{tables.folder}: reference has {len(r['time'])} rows, at least 3 are needed")
         v_n = tables.block("reference", ["v_north", "v_east", "v_down"])
         raw.motion = (r["time"], r["lat"], r["lon"], r["alt"], v_n, tables.quaternions())
+
+
+def _stated_std(raw: Raw, tables: Tables) -> Array | None:
+    """(M,6) standard deviations of the fixes; of a receiver without velocities, its three and no more."""
+    g = tables.parts["gnss"]
+    named = [key for key in STD if key in g]
+    if not named:
+        return None
+    position_only = not any(key in g for key in VELOCITY)
+    wanted = STD[:3] if position_only else STD
+    if missing := [key for key in wanted if key not in g]:
+        raise InputError(f"{raw.place('gnss')}: has {', '.join(named)}, but not {', '.join(missing)}")
+    if position_only:
+        return np.column_stack([tables.block("gnss", list(wanted)), np.full((len(g["time"]), 3), np.inf)])
+    return tables.block("gnss", list(wanted))
 
 
 def _stored_spec(stored: dict[str, Any], kind: str, folder: Path) -> Any:

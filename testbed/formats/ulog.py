@@ -46,6 +46,8 @@ LEAST_STD = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05])
 """Receivers state less than they deliver: floor of the GNSS sigmas, m and m/s."""
 COVERAGE = 0.9
 """Share of the time that integrated samples must cover; topics logged at a reduced rate leave gaps."""
+LEVEL_FIELD = 20.0
+"""µT: horizontal field of `testbed.data.specs.MagSpec`, turned by the log's declination."""
 EARTH_RADIUS = 6371000.0
 """m: the sphere of PX4's local projection (its ``map_projection``)."""
 
@@ -77,9 +79,16 @@ def read_file(path: Path, allow_truncated: bool = False) -> Raw:
         **{k: gnss[k][keep] for k in ("lat", "lon", "h", "v_n", "std")},
         spec=gnss["spec"],
     )
+    raw.utc = None if gnss["utc"] is None else gnss["utc"] - float(clock.seconds(gnss_us[:1])[0])
     raw.mag, raw.baro = _mag(path, topics, clock), _baro(path, topics, clock)
     raw.motion = _reference(path, topics, clock, gnss["undulation"])
-    raw.stated = {"imu", "gnss", "mag", "baro"}
+    raw.stated = {"imu", "gnss", "baro"}
+    declination = float(log.initial_parameters.get("EKF2_MAG_DECL", 0.0))
+    if raw.mag is not None and declination != 0.0:  # PX4 keeps there what its world map says, and 0 before it has a fix
+        east = np.radians(declination)
+        field = (LEVEL_FIELD * np.cos(east), LEVEL_FIELD * np.sin(east), MagSpec.field_n[2])
+        raw.mag = replace(raw.mag, spec=replace(raw.mag.spec, declination=float(east), field_n=field))
+        raw.stated.add("mag")
     return raw
 
 
@@ -252,8 +261,15 @@ def _gnss(
         "std": std,
         "spec": spec,
         "undulation": undulation,
+        "utc": _utc(data, rows[0]),
     }
     return us[good], out
+
+
+def _utc(data: Topic, row: int) -> float | None:
+    """Unix time of a fix, s; None where the receiver did not know it."""
+    us = float(data["time_utc_usec"][row]) if "time_utc_usec" in data else 0.0
+    return us * 1e-6 if us > 1e15 else None  # microseconds since 2001
 
 
 def _mag(path: Path, topics: Mapping[tuple[str, int], Topic], clock: _Clock) -> MagSamples | None:

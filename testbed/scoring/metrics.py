@@ -316,19 +316,23 @@ def divergence(series: ErrorSeries, limit_m: float) -> str:
     return ""
 
 
-def coverage(solution: NavSolution, start: float, end: float) -> str:
+def coverage(solution: NavSolution, start: float, end: float, gaps: Sequence[tuple[float, float]] = ()) -> str:
     """What of the flight from ``start`` to ``end`` (s) a solution leaves out, or an empty string.
 
     Up to `UNCOVERED` of it, and a second more, may lack at either end or between two samples: an estimator may align first, or
-    answer once a second, but not pick the part of the flight that it is scored on.
+    answer once a second, but not pick the part of the flight that it is scored on. ``gaps`` (s) are those of the recorded IMU,
+    in which nobody can say anything.
     """
     allowed = UNCOVERED * (end - start) + 1.0
     t = solution.t[(solution.t >= start - allowed) & (solution.t <= end + allowed)]
     told = f"covers {solution.t[0]:.6g} to {solution.t[-1]:.6g} s of a flight from {start:.6g} to {end:.6g} s"
     if len(t) == 0 or t[0] - start > allowed or end - t[-1] > allowed:
         return told
-    gap = int(np.argmax(np.diff(t))) if len(t) > 1 else 0
-    if len(t) > 1 and t[gap + 1] - t[gap] > allowed:
+    silent = np.diff(t)
+    for before, after in gaps:
+        silent -= np.clip(np.minimum(t[1:], after) - np.maximum(t[:-1], before), 0.0, None)
+    gap = int(np.argmax(silent)) if len(t) > 1 else 0
+    if len(t) > 1 and silent[gap] > allowed:
         return f"says nothing between {t[gap]:.6g} and {t[gap + 1]:.6g} s"
     return ""
 

@@ -89,7 +89,7 @@ def test_damaged_trials_are_refused(change, words: str, tmp_path: Path) -> None:
     trial = made_trial()
     change(trial)
     savemat(tmp_path / "trial.mat", trial)
-    with pytest.raises(InputError, match="trial.mat") as caught:
+    with pytest.raises(InputError, match=r"trial\.mat") as caught:
         read(tmp_path / "trial.mat")
     assert words in str(caught.value)
 
