@@ -15,6 +15,7 @@ import numpy as np
 
 from testbed.data.records import Array, SensorLog
 from testbed.data.registry import make_estimator
+from testbed.scenario import load_scenario
 
 EVERY = 3
 """Every third training flight: seven of twenty."""
@@ -30,7 +31,11 @@ START = {
     "mag_noise_scale": 8.2,
 }
 """Where the search begins: the result of an earlier one on other flights."""
+ONLY = {"gyro_scale": 0.0, "accel_noise_mps2": 0.0, "field_noise_ut": 0.0}
+"""The searches are over the filter's Gauss-Markov processes: nothing else explains acceleration and disturbances."""
 ADAPTIVE = {
+    "linear_accel_time_s": 0.0162,
+    "mag_disturbance_time_s": 12300.0,
     "mag_disturbance_ut": 0.59,
     "gyro_noise_scale": 1.37,
     "gyro_bias_scale": 0.334,
@@ -58,7 +63,6 @@ Flight = tuple[SensorLog, Array]
 def flights(validation: bool = False) -> list[Flight]:
     """Every `EVERY`-th flight of the data set that the network is trained on, or its validation flights."""
     from testbed.physics.rotations import quats_to_eulers
-    from testbed.scenario import load_scenario
     from testbed.training.dataset import make_dataset, open_dataset
     from testbed.training.train import dataset_folder
 
@@ -81,14 +85,14 @@ def rmse(name: str, params: Mapping[str, float], given: Sequence[Flight]) -> flo
 
 
 def kf() -> None:
-    """The defaults of `ahrs-kf`: CMA-ES on the logarithms; the rows of every improvement, the last one is the best."""
+    """The scenario's row "KF": CMA-ES on the logarithms; the rows of every improvement, the last one is the best."""
     import cma
 
     given, rows = flights(), list[dict[str, float]]()
 
     def evaluate(values: Array, count: int) -> float:
         params = {k: float(f"{v:.3g}") for k, v in zip(START, np.exp(values), strict=True)}
-        found = rmse("ahrs-kf", params, given)
+        found = rmse("ahrs-kf", ONLY | params, given)
         if not rows or found < rows[-1]["rmse_deg"]:
             rows.append({"evaluation": count, "rmse_deg": found} | params)
             print(rows[-1], flush=True)
@@ -108,7 +112,7 @@ def adaptive() -> None:
     given, others, rows = flights(), flights(validation=True), []
     for values in itertools.product(*ADAPTIVE_GRID.values()):
         point = dict(zip(ADAPTIVE_GRID, values, strict=True))
-        params = ADAPTIVE | point
+        params = ONLY | ADAPTIVE | point
         rows.append(
             point | {"rmse_deg": rmse("ahrs-kf", params, given), "validation_deg": rmse("ahrs-kf", params, others)}
         )
@@ -120,7 +124,8 @@ def peers() -> None:
     """The scenario's tuned rows of madgwick, mahony and ahrs-ekf: the best of a grid each."""
     log, truth = flights()[0]
     given, rows = [(beginning(log, PEER_S), truth[: np.searchsorted(log.imu.t, log.imu.t[0] + PEER_S)])], []
-    for name, grid in [("ahrs-kf", {}), *GRIDS.items()]:
+    (tuned,) = [entry.params for entry in load_scenario("ahrs-lstm-2022").estimators if entry.row == "KF"]
+    for name, grid in [("ahrs-kf", {key: (value,) for key, value in tuned.items()}), *GRIDS.items()]:
         for values in itertools.product(*grid.values()):
             params = dict(zip(grid, values, strict=True))
             text = " ".join(f"{k}={v:g}" for k, v in params.items())

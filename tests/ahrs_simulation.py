@@ -43,6 +43,9 @@ def simulate(seed: int, duration_s: float = 60.0, still: bool = False, noise: fl
         gyro_bias_scale=1.0,
         accel_noise_scale=1.0,
         mag_noise_scale=1.0,
+        gyro_scale=0.0,
+        accel_noise_mps2=0.0,
+        field_noise_ut=0.0,
     )
     std = np.concatenate(
         [np.full(6, 1e-3), np.radians([1.0, 1.0, 3.0]), np.full(3, 1e-6), np.full(3, np.radians(0.02))]

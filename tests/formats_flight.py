@@ -128,6 +128,33 @@ def _integral(rate: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (rate[1:] + rate[:-1]))])
 
 
+def swinging_turns(log: SensorLog) -> SensorLog:
+    """Level flight at 30 m/s whose turn rate swings by ±0.12 rad/s in 7 s, banked as it must be; the rest as in ``log``.
+
+    In closed form, flat and without the Earth's rate, which at 15 °/h is nothing beside 7 °/s.
+    """
+    t, fixes = log.imu.t, log.gnss.t
+    rng = np.random.default_rng(3)
+
+    def yaw(at: np.ndarray) -> np.ndarray:
+        return 0.12 * 7.0 / (2.0 * np.pi) * (1.0 - np.cos(2.0 * np.pi * at / 7.0))
+
+    rate = 0.12 * np.sin(2.0 * np.pi * t / 7.0)
+    bank = np.arctan(30.0 * rate / 9.81)
+    roll_rate = np.gradient(bank, t)
+    gyro = np.column_stack([roll_rate, rate * np.sin(bank), rate * np.cos(bank)])
+    accel = np.column_stack([0.0 * t, 0.0 * t, -9.81 / np.cos(bank)])
+    v_n = np.column_stack([30.0 * np.cos(yaw(fixes)), 30.0 * np.sin(yaw(fixes)), 0.0 * fixes])
+    fine = np.arange(0.0, t[-1] + 0.01, 0.01)
+    north, east = (_integral(30.0 * f(yaw(fine)), fine) for f in (np.cos, np.sin))
+    per_lat, per_lon = earth.metres_per_radian(np.radians(47.0), 500.0)
+    lat = np.radians(47.0) + np.interp(fixes, fine, north) / per_lat
+    lon = np.radians(8.5) + np.interp(fixes, fine, east) / per_lon
+    v_n = v_n + 0.05 * rng.standard_normal(v_n.shape)
+    gnss = replace(log.gnss, lat=lat, lon=lon, h=np.full(len(lat), 500.0), v_n=v_n, outages=())
+    return SensorLog(replace(log.imu, gyro=gyro, accel=accel), log.initial, gnss, name="swinging")
+
+
 def ulog_topics(trajectory: Trajectory, log: SensorLog, imu: str = "sensor_combined", gps: str = "sensor_gps") -> dict:
     """The log as PX4 topics, 10 s after boot; altitudes above mean sea level are 47 m less than above the ellipsoid."""
 

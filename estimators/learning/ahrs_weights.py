@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.learning.networks.tensor_file import check_shapes, read_arrays
-from estimators.methods.ahrs_kf import AhrsKf, interval
+from estimators.methods.ahrs_kf import WITHOUT, AhrsKf, interval
 from testbed.base.errors import InputError
 from testbed.base.files import from_json
 from testbed.data.records import NavSolution, SensorLog
@@ -85,6 +85,7 @@ def load_weights(weights: str) -> Weights:
             raise ValueError("activation and step_s of the network are not such")
         if not (arrays["unit"] > 0.0).all():
             raise ValueError("'unit' must be above 0")
+        metadata["filter"] = WITHOUT | metadata["filter"]  # weights of 0.1 know nothing of what came later
         AhrsKf(**metadata["filter"])
         return assemble(arrays, metadata)
     except InputError as error:

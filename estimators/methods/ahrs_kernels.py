@@ -49,6 +49,8 @@ class Figures(NamedTuple):
     """The same along x per (m/s²)² that is seen of it; 0: none."""
     averaging: float
     """Weight of a new sample in the means of both."""
+    scale_variance: float = 0.0
+    """s: variance of the angle that an error of the gyros' scale makes per second, over the square of the rate."""
 
 
 class Samples(NamedTuple):
@@ -219,6 +221,8 @@ def turn(state, gyro, figures):
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def carry(p, dq, figures):
     """P = Phi P Phi' + Q for one sample with the turn ``dq``."""
+    turned = 4.0 * (dq[1] * dq[1] + dq[2] * dq[2] + dq[3] * dq[3])  # its angle squared: at most pi/2 in a sample
+    turning = figures.gyro_variance * figures.interval**2 + figures.scale_variance * turned / figures.interval
     dt, fb, fa, fd = figures.interval, figures.bias_decay, figures.accel_decay, figures.mag_decay
     (a00, a10, a20), (a01, a11, a21), (a02, a12, a22) = quat_to_matrix(dq)  # A is its transpose: old b into new b
     for j in range(12):  # attitude rows of Phi P
@@ -245,7 +249,7 @@ def carry(p, dq, figures):
     for i in range(3):
         for j in range(3, 12):
             p[j, i] = p[i, j]
-        p[i, i] += figures.gyro_variance * dt * dt
+        p[i, i] += turning
         p[3 + i, 3 + i] += figures.bias_variance
         p[6 + i, 6 + i] += figures.accel_growth
         p[9 + i, 9 + i] += figures.mag_growth

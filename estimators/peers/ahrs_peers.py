@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from estimators.methods.ahrs_kf import Array, interval, prepare
+from estimators.methods.ahrs_kf import Array, interval, latest_field, prepare
 from testbed.base.errors import InputError, MissingExtra
 from testbed.data.records import ATTITUDE_STATES, NavSolution, SensorLog
 
@@ -26,15 +26,17 @@ class _Peer:
         raise NotImplementedError
 
     def run(self, log: SensorLog) -> NavSolution:
-        """Attitude by the package; position and velocity stand still at the initial state, as with `ahrs-kf`."""
+        """Attitude by the package, which gets the latest field sample at each IMU sample."""
         recording = prepare(log, self.name)
-        if (recording.mag_row < 0).any():
-            raise InputError(f"{self.name}: needs a magnetometer sample with every IMU sample")
         gyro = recording.gyro - log.initial.gyro_bias
-        q_nb = self._track(gyro, recording.accel, recording.mag[recording.mag_row], log)
-        n, initial = len(log.imu.t), log.initial
-        still = np.full(n, initial.lat), np.full(n, initial.lon), np.full(n, initial.h), np.tile(initial.v_n, (n, 1))
-        return NavSolution(log.imu.t, *still, q_nb, states=ATTITUDE_STATES)
+        return standing(log, self._track(gyro, recording.accel, recording.mag[latest_field(recording)], log))
+
+
+def standing(log: SensorLog, q_nb: Array) -> NavSolution:
+    """The answer of a filter that knows attitude alone: position and velocity stand still at the initial state."""
+    n, initial = len(log.imu.t), log.initial
+    still = np.full(n, initial.lat), np.full(n, initial.lon), np.full(n, initial.h), np.tile(initial.v_n, (n, 1))
+    return NavSolution(log.imu.t, *still, q_nb, states=ATTITUDE_STATES)
 
 
 def _package() -> Any:
@@ -56,14 +58,14 @@ class Madgwick(_Peer):
     name: ClassVar[str] = "madgwick"
 
     def __post_init__(self) -> None:
-        _require(self, ("gain",))
+        require(self, ("gain",))
 
     def _track(self, gyro: Array, accel: Array, mag: Array, log: SensorLog) -> Array:
         assert log.mag is not None
-        north = _about_down(log.mag.spec.declination)  # the package's north is magnetic
-        q0 = _multiply(_about_down(-log.mag.spec.declination), log.initial.q_nb)
+        north = about_down(log.mag.spec.declination)  # the package's north is magnetic
+        q0 = multiply(about_down(-log.mag.spec.declination), log.initial.q_nb)
         made = _package().Madgwick(gyr=gyro, acc=-accel, mag=mag, frequency=1.0 / interval(log), gain=self.gain, q0=q0)
-        return np.array([_multiply(north, q) for q in made.Q])
+        return np.array([multiply(north, q) for q in made.Q])
 
 
 @dataclass(frozen=True)
@@ -75,18 +77,18 @@ class Mahony(_Peer):
     name: ClassVar[str] = "mahony"
 
     def __post_init__(self) -> None:
-        _require(self, ("proportional", "integral"))
+        require(self, ("proportional", "integral"))
         if self.integral == 0.0:
             raise InputError("mahony: integral = 0, the package asks for a number above zero")
 
     def _track(self, gyro: Array, accel: Array, mag: Array, log: SensorLog) -> Array:
         assert log.mag is not None
         # The package's navigation frame has magnetic north along y and up along z.
-        to_ned = _multiply(_about_down(log.mag.spec.declination), _ENU_TO_NED)
-        q0 = _multiply(_conjugate(to_ned), log.initial.q_nb)
+        to_ned = multiply(about_down(log.mag.spec.declination), ENU_TO_NED)
+        q0 = multiply(_conjugate(to_ned), log.initial.q_nb)
         gains = {"k_P": self.proportional, "k_I": self.integral}
         made = _package().Mahony(gyr=gyro, acc=accel, mag=mag, frequency=1.0 / interval(log), q0=q0, **gains)
-        return np.array([_multiply(to_ned, q) for q in made.Q])
+        return np.array([multiply(to_ned, q) for q in made.Q])
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class AhrsEkf(_Peer):
     name: ClassVar[str] = "ahrs-ekf"
 
     def __post_init__(self) -> None:
-        _require(self, ("gyro_variance", "accel_variance", "mag_variance"))
+        require(self, ("gyro_variance", "accel_variance", "mag_variance"))
 
     def _track(self, gyro: Array, accel: Array, mag: Array, log: SensorLog) -> Array:
         assert log.mag is not None
@@ -110,14 +112,17 @@ class AhrsEkf(_Peer):
         return np.asarray(made.Q)
 
 
-_ENU_TO_NED = np.array([0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0])
+ENU_TO_NED = np.array([0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0])
+"""From east-north-up to north-east-down."""
 
 
-def _about_down(angle: float) -> Array:
+def about_down(angle: float) -> Array:
+    """The turn by an angle (rad) about down."""
     return np.array([np.cos(0.5 * angle), 0.0, 0.0, np.sin(0.5 * angle)])
 
 
-def _multiply(p: Array, q: Array) -> Array:
+def multiply(p: Array, q: Array) -> Array:
+    """Hamilton product of two quaternions."""
     from testbed.physics.rotations import quat_multiply
 
     return np.array(quat_multiply(p, q))
@@ -127,7 +132,8 @@ def _conjugate(q: Array) -> Array:
     return np.array([q[0], -q[1], -q[2], -q[3]])
 
 
-def _require(peer: _Peer, keys: tuple[str, ...]) -> None:
+def require(peer: Any, keys: tuple[str, ...]) -> None:
+    """Raises InputError where a parameter of a peer is no number, or negative."""
     for key in keys:
         value = getattr(peer, key)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < np.inf:

@@ -58,6 +58,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+KNOWN = ("position", "velocity", "attitude")
+"""What a reference may know of a motion."""
+
+
 @dataclass(frozen=True)
 class Phase:
     """A stretch of a flight: one manoeuvre of the script."""
@@ -87,6 +91,12 @@ class Trajectory:
     extra: Mapping[str, Array] = field(default_factory=dict)
     phases: tuple[Phase, ...] = ()
     name: str = ""
+    own_times: bool = False
+    """Whether the truth is known at its rows only, so that nothing is scored between them: a slow reference, withheld fixes."""
+    known: tuple[str, ...] = KNOWN
+    """What of the motion is known: columns of another group mean nothing and are not scored."""
+    arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """From the point that a filter navigates to the point of the rows, m, in b: the antenna of withheld fixes."""
 
     def __post_init__(self) -> None:
         check_arrays(
@@ -115,13 +125,21 @@ class Trajectory:
         ``header``: further entries of the file's header, such as what a cache knows the flight by.
         """
         frame = self.to_frame().assign(**exact_columns(self.lat, self.lon, self.q_nb))
-        meta = {"name": self.name, "phases": [[p.name, p.start, p.end] for p in self.phases], "extra": list(self.extra)}
+        meta: dict[str, Any] = {
+            "name": self.name,
+            "phases": [[p.name, p.start, p.end] for p in self.phases],
+            "extra": list(self.extra),
+        }
+        if self.own_times or self.known != KNOWN or any(self.arm_b):
+            meta["reference"] = {"own_times": self.own_times, "known": list(self.known), "arm_b": list(self.arm_b)}
         write_table(frame, path, "Trajectory", meta | header)
 
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:
         """Read what `save` wrote. Raises InputError when the file is no Trajectory."""
         table, meta = read_table(path, "Trajectory")
+        stored = meta.get("reference", {})
+        reference: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in stored.items()}
         return cls(
             **read_pva(table),
             f_b=stack(table, "accel_{}_mps2", "xyz"),
@@ -129,6 +147,7 @@ class Trajectory:
             extra={key: table[key] for key in meta["extra"]},
             phases=tuple(Phase(*p) for p in meta["phases"]),
             name=meta["name"],
+            **reference,
         )
 
 

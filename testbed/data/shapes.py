@@ -1,12 +1,18 @@
-"""What every record checks of its arrays when it is made: shapes, increasing time, finite values."""
+"""What every record checks of its arrays when it is made: shapes, increasing time, finite values; and gaps in times."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
+
+GAP = 5.0
+"""Sampling intervals without a sample that count as a gap: a logger's jitter is one or two, a lost packet more."""
+LEAST_GAP_S = 0.05
+"""A shorter gap turns into less than a filter's own noise: 1 m/s² for 0.05 s is 1 mm."""
 
 
 def check_arrays(
@@ -33,3 +39,12 @@ def check_arrays(
         if finite and not np.isfinite(values).all():
             k = int(np.argmin(np.isfinite(values).reshape(len(t), -1).all(axis=1)))
             raise InputError(f"{what}: '{name}' is not finite at sample {k} (t = {t[k]:.6g} s)")
+
+
+def gaps_of(t: NDArray[np.float64]) -> list[tuple[float, float]]:
+    """(last time before, first time after) of each gap in some sampling times."""
+    if len(t) < 3:
+        return []
+    steps = np.diff(t)
+    wide = np.flatnonzero(steps > max(GAP * float(np.median(steps)), LEAST_GAP_S))
+    return [(float(t[k]), float(t[k + 1])) for k in wide]

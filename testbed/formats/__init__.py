@@ -1,6 +1,7 @@
 """Recorded data in, flights and logs out: one registry of formats, one function for each direction.
 
-In: ``navego`` (.mat structs), ``table`` (CSV or Parquet with units in the column names), ``ulog`` (PX4 flight logs).
+In: ``navego`` (.mat structs), ``table`` (CSV or Parquet with units in the column names), ``ulog`` (PX4 flight logs),
+``broad`` (trials of that data set).
 Out: ``parquet``, ``csv``, ``navego``, ``kml``. Each format is documented in its module; errors are `InputError`.
 """
 
@@ -32,6 +33,7 @@ FORMATS: dict[str, Format] = {
     "navego": Format("NaveGo-style MATLAB structs imu, gnss, ref", PARTS["navego"], ".mat"),
     "table": Format("CSV or Parquet tables with units in the column names", PARTS["table"], ".csv"),
     "ulog": Format("PX4 flight log", PARTS["ulog"], ".ulg"),
+    "broad": Format("trial of the BROAD data set of attitude references", PARTS["broad"], ".mat"),
     "csv": Format("CSV with units in the column names", None, ".csv"),
     "parquet": Format("Parquet with units in the column names", None, ".parquet"),
     "kml": Format("KML track for Google Earth, coloured by error", None, ".kml"),
@@ -74,10 +76,9 @@ def load_recording(config: RecordingConfig, folder: str | Path = ".") -> Any:
 
 @functools.lru_cache(maxsize=2)
 def _load(config_json: str, folder: str, state: tuple[tuple[str, int, int], ...]) -> Any:
-    from testbed.formats import importers, ulog
+    from testbed.formats import importers
 
-    config = RecordingConfig.model_validate_json(config_json, strict=False)
-    return (ulog if config.format == "ulog" else importers).load(config, Path(folder))
+    return importers.load(RecordingConfig.model_validate_json(config_json, strict=False), Path(folder))
 
 
 def _parts_of(kind: str, paths: Sequence[Path]) -> dict[str, str]:

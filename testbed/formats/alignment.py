@@ -1,4 +1,7 @@
-"""Initial state of a recording that states none: coarse levelling, heading from course or magnetometer, place from GNSS.
+"""Initial state of a recording that states none: coarse levelling, heading, place and velocity from GNSS.
+
+Heading: the course at the first fix, the magnetometer with the declination of the place, or the first course carried back
+by the gyros (`testbed.formats.first_motion`). At rest the mean of the whole rest levels and gives the gyro biases.
 
 Groves, 2nd ed., section 5.6.2 (levelling) and 6.1.1 (magnetic heading). The accelerometer is averaged over the first
 seconds in the body frame of the start (the gyro turns each sample back), and the acceleration that the GNSS velocity
@@ -9,13 +12,15 @@ for the heading. Where nothing tells the heading its sigma is that of a uniform 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from testbed.base.errors import InputError
 from testbed.data.records import Array, GnssFixes, ImuSamples, InitialState, MagSamples, Trajectory
+from testbed.formats import first_motion
 from testbed.formats.config import AlignmentConfig
+from testbed.formats.first_motion import Rest, Start
 from testbed.formats.kinematics import from_rotvec, multiply
 from testbed.formats.recording import interpolate_motion
 from testbed.physics import earth
@@ -36,11 +41,47 @@ REFERENCE_STD = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, *np.radians([0.1, 0.1
 
 @dataclass(frozen=True)
 class Aligned:
-    """The log's tables cut to start at the initial state, and the initial state."""
+    """The log's tables cut to start at the initial state, the initial state, and what is to be told of it."""
 
     imu: ImuSamples
     gnss: GnssFixes | None
     initial: InitialState
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Given:
+    """What files say beside the samples.
+
+    ``attitude``: roll, pitch, yaw (rad) at the first IMU time and their sigmas; ``gyro_bias`` (3,) rad/s: measured
+    beforehand;
+    ``position_only``: the velocities of the fixes are derived from their positions.
+    """
+
+    attitude: tuple[Array, Array] | None = None
+    gyro_bias: Array | None = None
+    position_only: bool = False
+
+
+@dataclass
+class _Case:
+    """What the parts of an alignment share."""
+
+    config: AlignmentConfig
+    imu: ImuSamples
+    gnss: GnssFixes | None
+    mag: MagSamples | None
+    t: float
+    place: str
+    start: Start | None = None
+    rest: Rest | None = None
+    gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
+    gyro_std: Array = field(default_factory=lambda: np.zeros(3))
+    notes: list[str] = field(default_factory=list)
+
+
+LEVELLING = ("attitude", "heading", "level_s", "crab_deg", "declination_deg")
+"""Keys that ask for an attitude of one's own, even where the files state one."""
 
 
 def align(
@@ -51,36 +92,96 @@ def align(
     reference: Trajectory | None,
     t_start: float,
     place: str,
+    given: Given | None = None,
 ) -> Aligned:
     """Initial state at the first IMU time that GNSS (or the reference) reaches; what lies before is cut off.
 
     ``t_start`` is the beginning of the first IMU interval. The first fix makes the initial position and velocity, so it
     is not offered to the filter a second time. Raises InputError where neither GNSS nor a reference can give a start.
     """
-    if "reference" in (config.start, config.attitude) and reference is None:
-        raise InputError(f"{place}: the initial state is to come from the reference, but the recording has none")
-    if config.start == "gnss" and (gnss is None or not len(gnss.t)):
-        raise InputError(f'{place}: without GNSS fixes the initial state needs [recording.initial] start = "reference"')
-    source = gnss if config.start == "gnss" else reference
+    given = given or Given()
+    start = _source(config, gnss, reference, place)
+    source = gnss if start == "gnss" else reference
     assert source is not None
-    needed = max(
-        float(source.t[0]),
-        float(reference.t[0]) if config.attitude == "reference" and reference is not None else -np.inf,
-    )
-    imu, t = cut_before(imu, t_start, needed, place)
-    attitude, attitude_std = _attitude(config, imu, gnss, mag, reference, t)
+    wants = reference if config.attitude == "reference" else None
+    imu, t = cut_before(imu, t_start, max(float(source.t[0]), float(wants.t[0]) if wants else -np.inf), place)
+    if gnss is not None:
+        gnss = _from(gnss, t)
+    if start == "gnss" and (gnss is None or not len(gnss.t)):
+        raise InputError(f"{place}: no fix lies within the IMU's samples from {t:.6g} s on")
+    case = _Case(config, imu, gnss, mag, t, place)
+    _known_motion(case, given)
+    stated = given.attitude if not config.model_fields_set & set(LEVELLING) else None
+    attitude, attitude_std = _attitude(case, reference, stated)
     q_nb = np.array(euler_to_quat(*attitude))
     jacobian = np.array(euler_error_matrix(*attitude))
-    if config.start == "gnss":
+    if start == "gnss":
         assert gnss is not None
-        lat, lon, h, v_n, motion_std, gnss = from_first_fix(gnss, t, q_nb)
+        lat, lon, h, v_n, motion_std, gnss = from_first_fix(gnss, t, q_nb, case.start if given.position_only else None)
     else:
         assert reference is not None
         lat, lon, h, v_n, _ = reference_at(reference, t)
         motion_std = REFERENCE_STD[:6]
-    bias_std = np.repeat([imu.spec.accel.turn_on_bias, imu.spec.gyro.turn_on_bias], 3)
+    bias_std = np.concatenate([np.repeat(imu.spec.accel.turn_on_bias, 3), case.gyro_std])
     std = np.concatenate([motion_std, np.sqrt(jacobian**2 @ attitude_std**2), bias_std])
-    return Aligned(imu, gnss, InitialState(t, lat, lon, h, v_n, q_nb, np.zeros(3), np.zeros(3), std))
+    return Aligned(
+        imu, gnss, InitialState(t, lat, lon, h, v_n, q_nb, np.zeros(3), case.gyro_bias, std), tuple(case.notes)
+    )
+
+
+def turned(initial: InitialState, config: AlignmentConfig) -> InitialState:
+    """A stated initial state with the angles and sigmas that the scenario gives in place of its own."""
+    euler = list(quat_to_euler(initial.q_nb))
+    for i, angle in enumerate((config.roll_deg, config.pitch_deg, config.yaw_deg)):
+        euler[i] = euler[i] if angle is None else np.radians(angle)
+    jacobian = np.array(euler_error_matrix(*euler))
+    euler_std = np.sqrt(np.linalg.inv(jacobian) ** 2 @ initial.std[6:9] ** 2)
+    if config.roll_pitch_std_deg is not None:
+        euler_std[:2] = np.radians(config.roll_pitch_std_deg)
+    if config.yaw_std_deg is not None:
+        euler_std[2] = np.radians(config.yaw_std_deg)
+    std = initial.std.copy()
+    std[6:9] = np.sqrt(jacobian**2 @ euler_std**2)
+    return replace(initial, q_nb=np.array(euler_to_quat(*euler)), std=std)
+
+
+def _source(config: AlignmentConfig, gnss: GnssFixes | None, reference: Trajectory | None, place: str) -> str:
+    """``gnss`` or ``reference``: where position and velocity at the start come from."""
+    start = config.start
+    if start == "auto":
+        start = "gnss" if (gnss is not None and len(gnss.t)) or reference is None else "reference"
+    if "reference" in (start, config.attitude) and reference is None:
+        raise InputError(f"{place}: the initial state is to come from the reference, but the recording has none")
+    if start == "gnss" and (gnss is None or not len(gnss.t)):
+        raise InputError(f'{place}: without GNSS fixes the initial state needs [recording.initial] start = "reference"')
+    return start
+
+
+def _from(gnss: GnssFixes, t: float) -> GnssFixes:
+    keep = gnss.t >= t - 1e-9
+    rows = {key: getattr(gnss, key)[keep] for key in ("t", "lat", "lon", "h", "v_n")}
+    return replace(gnss, **rows, std=None if gnss.std is None else gnss.std[keep])
+
+
+def _known_motion(case: _Case, given: Given) -> None:
+    """Fill in velocity and acceleration at the start, rest, and the gyro biases with their sigmas."""
+    spec, gnss = case.imu.spec.gyro, case.gnss
+    case.gyro_std = np.repeat(spec.turn_on_bias, 3)
+    if given.gyro_bias is not None:
+        case.gyro_bias, case.gyro_std = given.gyro_bias, np.repeat(spec.gauss_markov_sigma(), 3)
+    if gnss is not None and len(gnss.t) > 1 and given.position_only:
+        case.start = first_motion.at_first_fix(gnss)
+    if given.attitude is not None:
+        return
+    case.rest = first_motion.rest_at_start(case.imu, gnss, case.t, case.config.level_s)
+    if case.rest is not None and given.gyro_bias is None:
+        noise = spec.white_noise / np.sqrt(case.rest.span)
+        std = float(np.sqrt(noise**2 + spec.gauss_markov_sigma() ** 2 + first_motion.EARTH_RATE**2))
+        if std < spec.turn_on_bias:  # else the data sheet knows more
+            case.gyro_bias, case.gyro_std = case.rest.gyro, np.repeat(std, 3)
+            case.notes.append(
+                f"{case.place}: at rest for the first {case.rest.span:.3g} s: levelled and gyro biases taken from its mean"
+            )
 
 
 def cut_before(imu: ImuSamples, t_start: float, needed: float, place: str) -> tuple[ImuSamples, float]:
@@ -114,21 +215,19 @@ def magnetic_heading(field_b: Array, roll: float, pitch: float, declination: flo
 
 
 def _attitude(
-    config: AlignmentConfig,
-    imu: ImuSamples,
-    gnss: GnssFixes | None,
-    mag: MagSamples | None,
-    reference: Trajectory | None,
-    t: float,
+    case: _Case, reference: Trajectory | None, stated: tuple[Array, Array] | None
 ) -> tuple[tuple[float, float, float], Array]:
     """Roll, pitch, yaw and their sigmas (rad); given values and sigmas of the configuration come first."""
+    config = case.config
     if config.attitude == "reference" and reference is not None:
-        roll, pitch, yaw = quat_to_euler(reference_at(reference, t)[4])
+        roll, pitch, yaw = quat_to_euler(reference_at(reference, case.t)[4])
         std = REFERENCE_STD[6:].copy()
+    elif stated is not None:
+        (roll, pitch, yaw), std = stated[0], stated[1].copy()
     else:
-        roll, pitch, yaw, std = _levelled(config, imu, gnss, mag, t)
-    given = (config.roll_deg, config.pitch_deg, config.yaw_deg)
-    roll, pitch, yaw = (a if g is None else np.radians(g) for a, g in zip((roll, pitch, yaw), given, strict=True))
+        roll, pitch, yaw, std = _levelled(case)
+    own = (config.roll_deg, config.pitch_deg, config.yaw_deg)
+    roll, pitch, yaw = (a if g is None else np.radians(g) for a, g in zip((roll, pitch, yaw), own, strict=True))
     if config.roll_pitch_std_deg is not None:
         std[:2] = np.radians(config.roll_pitch_std_deg)
     if config.yaw_std_deg is not None:
@@ -136,52 +235,96 @@ def _attitude(
     return (float(roll), float(pitch), float(yaw)), std
 
 
-def _levelled(
-    config: AlignmentConfig, imu: ImuSamples, gnss: GnssFixes | None, mag: MagSamples | None, t: float
-) -> tuple[float, float, float, Array]:
-    window = max(2, int(np.searchsorted(imu.t, t + config.level_s, side="right")))
-    span = float(imu.t[:window][-1] - t)
-    f_b = _force_at_start(imu, window, t)
-    velocity, velocity_std, a_n = np.zeros(3), 0.0, np.zeros(3)
-    if gnss is not None and len(gnss.t):
-        velocity, velocity_std = gnss.v_n[0], float(gnss.measurement_std()[0, 3])
-        last = int(np.searchsorted(gnss.t, gnss.t[0] + span + 1e-9, side="right")) - 1
-        if last > 0:
-            a_n = (gnss.v_n[last] - gnss.v_n[0]) / (gnss.t[last] - gnss.t[0])
+def _levelled(case: _Case) -> tuple[float, float, float, Array]:
+    """Roll, pitch, yaw and their sigmas."""
+    config, imu, gnss = case.config, case.imu, case.gnss
+    window = max(2, int(np.searchsorted(imu.t, case.t + config.level_s, side="right")))
+    span = float(imu.t[:window][-1] - case.t)
+    motion = case.start or _between_fixes(gnss, span)
+    if case.rest is not None:
+        f_b, motion = case.rest.force, Start(np.zeros(3), np.zeros(3), motion.v_std, 0.0)
+    else:
+        f_b = _force_at_start(imu, window, case.t)
     gravity = float(earth.gravity(gnss.lat[0], gnss.h[0])) if gnss is not None and len(gnss.t) else earth.G0
-    speed = float(np.hypot(velocity[0], velocity[1]))
-    heading = config.heading
-    if heading == "auto":
-        heading = "course" if speed >= SLOWEST_COURSE else ("mag" if mag is not None and len(mag.t) else "none")
-    yaw, yaw_std = 0.0, UNKNOWN_STD
+    level_std = float(
+        np.sqrt((imu.spec.accel.turn_on_bias / gravity) ** 2 + (motion.a_std / gravity) ** 2 + LEVEL_STD**2)
+    )
+    heading = _chosen_heading(case, motion)
     if config.yaw_deg is not None:
-        yaw = float(np.radians(config.yaw_deg))
-        yaw_std = np.radians(5.0)
+        yaw, yaw_std = float(np.radians(config.yaw_deg)), float(np.radians(5.0))
+    elif heading == "mag":
+        roll, pitch, yaw, yaw_std = _by_mag(case, f_b, motion.a_n, gravity)
+        return roll, pitch, yaw, np.array([level_std, level_std, yaw_std])
     elif heading == "course":
+        speed = float(np.hypot(motion.v_n[0], motion.v_n[1]))
         if speed < 1.0:
             raise InputError(f'[recording.initial] heading = "course", but the first fix moves at {speed:.2g} m/s only')
-        yaw = float(np.arctan2(velocity[1], velocity[0]))
-        yaw_std = float(np.hypot(velocity_std / speed, np.radians(config.crab_deg)))
-    roll, pitch = level(f_b, a_n if yaw_std < UNKNOWN_STD else np.zeros(3), gravity, yaw)
-    if heading == "mag" and config.yaw_deg is None:
-        roll, pitch, yaw, yaw_std = _by_mag(config, mag, t, f_b, a_n, gravity)
-    level_std = np.sqrt(
-        (imu.spec.accel.turn_on_bias / gravity) ** 2 + 2.0 * (velocity_std / (span * gravity)) ** 2 + LEVEL_STD**2
-    )
+        yaw = float(np.arctan2(motion.v_n[1], motion.v_n[0]))
+        yaw_std = float(np.hypot(motion.v_std / speed, np.radians(config.crab_deg)))
+    elif heading == "motion":
+        yaw, yaw_std = _by_motion(case, level(f_b, np.zeros(3), gravity, 0.0))
+    else:
+        yaw, yaw_std = 0.0, UNKNOWN_STD
+    if yaw_std >= UNKNOWN_STD:
+        case.notes.append(
+            f"{case.place}: nothing tells the heading at the start (no course, no magnetometer): it is taken as 0° with the"
+            " sigma of a uniform angle, 104°; [recording.initial] yaw_deg gives it"
+        )
+    # the acceleration is known in n, so that a heading which is not known makes no use of it
+    roll, pitch = level(f_b, motion.a_n if yaw_std < UNKNOWN_STD else np.zeros(3), gravity, yaw)
     return roll, pitch, yaw, np.array([level_std, level_std, yaw_std])
 
 
-def _by_mag(
-    config: AlignmentConfig, mag: MagSamples | None, t: float, f_b: Array, a_n: Array, gravity: float
-) -> tuple[float, float, float, float]:
+def _between_fixes(gnss: GnssFixes | None, span: float) -> Start:
+    """Velocity of the first fix, and the mean acceleration over ``span`` s from the velocities."""
+    if gnss is None or not len(gnss.t):
+        return Start(np.zeros(3), np.zeros(3), 0.0, 0.0)
+    v_std, a_n = float(gnss.measurement_std()[0, 3]), np.zeros(3)
+    last = int(np.searchsorted(gnss.t, gnss.t[0] + span + 1e-9, side="right")) - 1
+    if last > 0:
+        a_n = (gnss.v_n[last] - gnss.v_n[0]) / (gnss.t[last] - gnss.t[0])
+    return Start(gnss.v_n[0], a_n, v_std, float(np.sqrt(2.0) * v_std / span))
+
+
+def _chosen_heading(case: _Case, motion: Start) -> str:
+    if case.config.heading != "auto":
+        return case.config.heading
+    speed = float(np.hypot(motion.v_n[0], motion.v_n[1]))
+    if speed >= max(SLOWEST_COURSE, 3.0 * motion.v_std):
+        return "course"
+    return "mag" if case.mag is not None and len(case.mag.t) else "motion"
+
+
+def _by_motion(case: _Case, tilt: tuple[float, float]) -> tuple[float, float]:
+    """Heading and its sigma from the first motion that shows one, carried back by the gyros."""
+    gnss, crab = case.gnss, float(np.radians(case.config.crab_deg))
+    if gnss is None or len(gnss.t) < 2:
+        return 0.0, UNKNOWN_STD
+    drift = float(case.gyro_std.max())
+    ways = (first_motion.carried_back, first_motion.chord)
+    told = [way(case.imu, gnss, case.t, tilt, case.gyro_bias, drift, crab) for way in ways]
+    found = [course for course in told if course is not None]
+    if not found:
+        return 0.0, UNKNOWN_STD
+    course = min(found, key=lambda c: c.std)
+    case.notes.append(
+        f"{case.place}: the heading at the start is that of the motion at {course.t:.4g} s, carried back by the gyros"
+        f" (1 sigma {np.degrees(course.std):.2g}°)"
+    )
+    return float(_wrap(course.yaw)), course.std
+
+
+def _by_mag(case: _Case, f_b: Array, a_n: Array, gravity: float) -> tuple[float, float, float, float]:
+    mag, t = case.mag, case.t
     if mag is None or not len(mag.t):
         raise InputError('[recording.initial] heading = "mag", but the recording has no magnetometer')
     near = np.abs(mag.t - t) <= max(0.1, float(np.abs(mag.t - t).min()) + 1e-9)
     field_b = mag.field[near].mean(axis=0)
-    declination = mag.spec.declination if config.declination_deg is None else float(np.radians(config.declination_deg))
+    declination = case.config.declination_deg
+    east = mag.spec.declination if declination is None else float(np.radians(declination))
     roll, pitch = level(f_b, np.zeros(3), gravity, 0.0)
     for _ in range(MAG_ITERATIONS):
-        yaw, horizontal = magnetic_heading(field_b, roll, pitch, declination)
+        yaw, horizontal = magnetic_heading(field_b, roll, pitch, east)
         roll, pitch = level(f_b, a_n, gravity, yaw)
     return roll, pitch, yaw, float(np.hypot(MAG_STD, mag.spec.turn_on_bias / horizontal))
 
@@ -197,13 +340,20 @@ def _force_at_start(imu: ImuSamples, window: int, t: float) -> Array:
     return (turned * steps).sum(axis=0) / steps.sum()
 
 
-def from_first_fix(gnss: GnssFixes, t: float, q_nb: Array) -> tuple[float, float, float, Array, Array, GnssFixes]:
-    """Position (of the IMU, moved back to ``t``), velocity, their sigmas, and the fixes after the first."""
-    v_n = gnss.v_n[0].copy()
+def from_first_fix(
+    gnss: GnssFixes, t: float, q_nb: Array, start: Start | None = None
+) -> tuple[float, float, float, Array, Array, GnssFixes]:
+    """Position (of the IMU, moved back to ``t``), velocity, their sigmas, and the fixes after the first.
+
+    ``start`` gives the velocity where the fix itself states none.
+    """
+    v_n = gnss.v_n[0].copy() if start is None else start.v_n
     back = quats_to_matrices(q_nb[None])[0] @ np.array(gnss.spec.lever_arm_b) + v_n * (gnss.t[0] - t)
     per_lat, per_lon = earth.metres_per_radian(gnss.lat[0], gnss.h[0])
     lat, lon, h = gnss.lat[0] - back[0] / per_lat, gnss.lon[0] - back[1] / per_lon, gnss.h[0] + back[2]
     std = np.maximum(gnss.measurement_std()[0], 1e-3)
+    if start is not None:
+        std[3:] = max(start.v_std, 1e-3)
     rest = {key: getattr(gnss, key)[1:] for key in ("t", "lat", "lon", "h", "v_n")}
     remaining = replace(gnss, **rest, std=None if gnss.std is None else gnss.std[1:])
     return float(lat), float(lon), float(h), v_n, std, remaining

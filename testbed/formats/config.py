@@ -17,6 +17,7 @@ PARTS = {
     "navego": ("imu", "gnss", "ref", "mag", "baro"),
     "table": ("imu", *SENSORS, "reference"),
     "ulog": ("log",),
+    "broad": ("trial",),
 }
 """Format -> names that ``files`` may use."""
 
@@ -24,18 +25,19 @@ PARTS = {
 class AlignmentConfig(Table):
     """``[recording.initial]``: where the initial state comes from when the files state none (NaveGo's state attitude)."""
 
-    start: Literal["gnss", "reference"] = "gnss"
-    """Position and velocity."""
+    start: Literal["auto", "gnss", "reference"] = "auto"
+    """Position and velocity; auto: from GNSS where there is one, else from the reference."""
     attitude: Literal["level", "reference"] = "level"
     """Roll and pitch by levelling, or all three angles from the reference."""
-    heading: Literal["auto", "course", "mag", "none"] = "auto"
-    """With levelling: course over ground above 5 m/s, else magnetometer, else unknown."""
+    heading: Literal["auto", "course", "mag", "motion", "none"] = "auto"
+    """With levelling: course over ground above 5 m/s, else magnetometer, else the first motion that shows a course, carried
+    back by the gyros, else unknown."""
     level_s: float = Field(default=2.0, gt=0.0, le=600.0)
     """Averaging time of the accelerometer."""
     crab_deg: float = Field(default=10.0, ge=0.0, le=180.0)
     """1 sigma between course and heading."""
     declination_deg: float | None = Field(default=None, ge=-180.0, le=180.0)
-    """Of the magnetic field, east; default: the magnetometer's specification."""
+    """Of the magnetic field, east; default: the magnetometer's specification, else the World Magnetic Model."""
     roll_deg: float | None = Field(default=None, ge=-180.0, le=180.0)
     pitch_deg: float | None = Field(default=None, ge=-90.0, le=90.0)
     yaw_deg: float | None = Field(default=None, ge=-360.0, le=360.0)
@@ -46,7 +48,7 @@ class AlignmentConfig(Table):
 class RecordingConfig(Table):
     """``[recording]``. Relative paths start at the scenario's folder."""
 
-    format: Literal["navego", "table", "ulog"]
+    format: Literal["navego", "table", "ulog", "broad"]
     dir: str = "."
     files: dict[str, str] = Field(default_factory=dict)
     """Part -> file in ``dir``; default names where a part is absent."""

@@ -6,6 +6,7 @@ SI units and radians; frames as in `testbed.data.records`.
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,165 +14,145 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.base.errors import InputError
-from testbed.data import specs
-from testbed.data.records import (
-    Array,
-    BaroSamples,
-    GnssFixes,
-    ImuSamples,
-    InitialState,
-    MagSamples,
-    SensorLog,
-    Trajectory,
-)
-from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
-from testbed.formats.alignment import align, cut_before
+from testbed.base.errors import InputError, shown
+from testbed.data.records import Array, GnssFixes, SensorLog, Trajectory
+from testbed.formats import plausibility
+from testbed.formats.alignment import LEVELLING, Given, align, cut_before, turned
 from testbed.formats.config import RecordingConfig
+from testbed.formats.first_motion import with_derived_velocity
+from testbed.formats.raw import Raw
 from testbed.formats.recording import Recording, reference_on_grid
-from testbed.sensors.registry import SENSORS
+from testbed.formats.table_samples import KINDS
+from testbed.physics.rotations import euler_to_quat, quat_to_matrix
 
-KINDS: dict[str, type] = {"imu": ImuSpec} | {kind: sensor.spec for kind, sensor in SENSORS.items()}
+READERS = {
+    "table": "testbed.formats.table_samples",
+    "navego": "testbed.formats.navego",
+    "ulog": "testbed.formats.ulog",
+    "broad": "testbed.formats.broad",
+}
+"""Format -> module with a function ``read(config, folder) -> Raw``."""
+PLACEMENT = ("clock_s", "mounting_deg")
+"""Keys of ``[recording.imu]`` and so on that say how the sensor's samples are to be read, not how good it is."""
+FIELD_YEARS = (2010.0, 2029.9)
+USUAL_YEAR = 2025.0
+"""Of the magnetic field where no file tells the date: it turns by 0.1 to 0.2° a year, beside 5° of an uncalibrated compass."""
 
 
 def load(config: RecordingConfig, folder: Path) -> Recording:
     """Read what ``config`` describes. Raises InputError that names the file and what is wrong with it."""
-    root = folder / config.dir
-    if config.format == "navego":
-        return _load_navego(config, root, folder)
-    return _load_table(config, root, folder)
-
-
-def _load_navego(config: RecordingConfig, root: Path, folder: Path) -> Recording:
-    from testbed.formats import navego
-
-    recording = navego.load(root, config.files, config.sampling, config.initial.start)
-    log = recording.log
-    changed = {kind: _respecify(config, folder, kind, getattr(log, kind)) for kind in ("imu", "gnss", "mag", "baro")}
-    given = config.initial.model_fields_set
-    idle = without_effect(config, () if "start" in given and navego.states_initial(root, config.files) else ("start",))
-    return _cut(config, Recording(replace(log, **changed), recording.reference, idle), str(root))
-
-
-def _load_table(config: RecordingConfig, root: Path, folder: Path) -> Recording:
-    from testbed.formats import table
-
-    columns = table.read_mapping(folder / config.mapping) if config.mapping else {}
-    tables = table.Tables(root, config.files, columns | config.columns)
-    raw = Raw.from_tables(tables, config.sampling)
-    return finish(config, folder, raw, str(root))
-
-
-def without_effect(config: RecordingConfig, heeded: tuple[str, ...]) -> tuple[str, ...]:
-    """A note on the keys of ``[recording.initial]`` that were given but not ``heeded``: the files state the initial state."""
-    idle = sorted(set(config.initial.model_fields_set) - set(heeded))
-    keys = ", ".join(f"recording.initial.{key}" for key in idle)
-    return (f"{keys} has no effect: the files of the recording state the initial state",) if idle else ()
-
-
-class Raw:
-    """What a reader found, before alignment: sample tables with the files' specifications (None: not stated)."""
-
-    def __init__(self, imu: ImuSamples | None = None, t_start: float = 0.0, name: str = "") -> None:
-        self.imu, self.t_start, self.name = imu, t_start, name
-        self.gnss: GnssFixes | None = None
-        self.mag: MagSamples | None = None
-        self.baro: BaroSamples | None = None
-        self.others: dict[str, Any] = {}
-        """Samples of further sensors by their kind."""
-        self.motion: tuple[Array, ...] | None = None
-        self.stated: set[str] = set()
-        self.initial: InitialState | None = None
-
-    @classmethod
-    def from_tables(cls, tables: Any, sampling: str) -> Raw:
-        """The samples of a folder of tables (`testbed.formats.table.Tables`)."""
-        stored, parts = tables.stored(), tables.parts
-        raw = cls(name=stored.get("name") or tables.folder.name)
-        spec = {kind: _stored_spec(stored, kind, tables.folder) for kind in KINDS}
-        raw.stated = {kind for kind, value in spec.items() if value is not None}
-        raw.initial = _stored_initial(stored, tables.folder)
-        t = parts["imu"]["time"]
-        if len(t) < 3:
-            raise InputError(f"{tables.folder}: imu has {len(t)} samples, at least 3 are needed")
-        gyro, accel = (
-            tables.block("imu", [f"gyro_{a}" for a in "xyz"]),
-            tables.block("imu", [f"accel_{a}" for a in "xyz"]),
-        )
-        rate = spec["imu"] or ImuSpec("unknown", rate_hz=float(np.round(1.0 / np.median(np.diff(t)), 6)))
-        if sampling == "instant":
-            raw.t_start = float(t[0])
-            t, gyro, accel = t[1:], 0.5 * (gyro[1:] + gyro[:-1]), 0.5 * (accel[1:] + accel[:-1])
-        else:
-            raw.t_start = float(t[0] - np.median(np.diff(t)))
-        if raw.initial is not None:
-            raw.t_start = raw.initial.t
-        raw.imu = ImuSamples(t, gyro, accel, rate)
-        raw._add_aiding(tables, spec, _stored_outages(stored, tables.folder))
-        return raw
-
-    def _add_aiding(self, tables: Any, spec: dict[str, Any], outages: tuple[tuple[float, float], ...]) -> None:
-        parts = tables.parts
-        if (g := parts.get("gnss")) is not None:
-            from testbed.formats.table import OPTIONAL
-
-            named = [key for key in OPTIONAL["gnss"] if key in g]
-            if named and len(named) < 6:
-                raise InputError(
-                    f"{tables.folder}: gnss has {', '.join(named)}, but not all of {', '.join(OPTIONAL['gnss'])}"
-                )
-            std = tables.block("gnss", named) if named else None
-            v_n = tables.block("gnss", ["v_north", "v_east", "v_down"])
-            self.gnss = GnssFixes(
-                g["time"], g["lat"], g["lon"], g["alt"], v_n, spec["gnss"] or GnssSpec("unknown"), outages, std
-            )
-            if std is not None:
-                self.stated.add("gnss")
-        if "mag" in parts:
-            field = tables.block("mag", ["mag_x", "mag_y", "mag_z"])
-            self.mag = MagSamples(parts["mag"]["time"], field, spec["mag"] or MagSpec("unknown"))
-        if "baro" in parts:
-            self.baro = BaroSamples(
-                parts["baro"]["time"], parts["baro"]["pressure"], spec["baro"] or BaroSpec("unknown")
-            )
-        for kind in set(parts) & set(SENSORS) - {"gnss", "mag", "baro"}:
-            unknown = SENSORS[kind].spec(name="unknown")
-            self.others[kind] = SENSORS[kind].from_stems(parts[kind], spec[kind] or unknown)
-        if (r := parts.get("reference")) is not None:
-            if len(r["time"]) < 3:
-                raise InputError(f"{tables.folder}: reference has {len(r['time'])} rows, at least 3 are needed")
-            v_n = tables.block("reference", ["v_north", "v_east", "v_down"])
-            self.motion = (r["time"], r["lat"], r["lon"], r["alt"], v_n, tables.quaternions())
+    reader = importlib.import_module(READERS[config.format])
+    return finish(config, folder, reader.read(config, folder), str(folder / config.dir))
 
 
 def finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Recording:
-    """Specifications, reference on the IMU grid, initial state, wanted time."""
-    assert raw.imu is not None
-    samples = {kind: _respecify(config, folder, kind, getattr(raw, kind)) for kind in ("imu", "gnss", "mag", "baro")}
-    for kind in ("imu", "gnss"):
-        if samples[kind] is not None and kind not in raw.stated and not getattr(config, kind):
-            raise InputError(
-                f"{place}: nothing states how good the {kind} is; give [recording.{kind}] a model of the catalogue or its figures"
-            )
-    imu, gnss, t_start, initial = samples["imu"], samples["gnss"], raw.t_start, raw.initial
+    """Specifications, plausibility, reference, initial state, wanted time."""
+    _specify(config, folder, raw, place)
+    notes = [*raw.notes, *plausibility.check(raw), *_derive_velocities(raw)]
+    imu, gnss, t_start, initial = raw.imu, raw.gnss, raw.t_start, raw.initial
+    assert imu is not None
     if config.start_s is not None and config.start_s > t_start:
         imu, t_start = cut_before(imu, t_start, config.start_s, place)
         gnss, initial = _after(gnss, t_start), None
-    grid = np.concatenate([[t_start], imu.t])
-    reference = reference_on_grid(grid, raw.motion, place) if raw.motion is not None else None
-    idle = () if initial is None else without_effect(config, ())
-    if initial is None:
-        aligned = align(config.initial, imu, gnss, samples["mag"], reference, t_start, place)
+    reference = _reference(raw, np.concatenate([[t_start], imu.t]), place)
+    notes += _magnetic_field(config, raw, gnss, reference)
+    asked = config.initial.model_fields_set
+    if initial is None or asked & {*LEVELLING, "start"}:
+        given = Given(raw.attitude, raw.gyro_bias, raw.gnss_position_only)
+        aligned = align(config.initial, imu, gnss, raw.mag, reference, t_start, place, given)
         imu, gnss, initial = aligned.imu, aligned.gnss, aligned.initial
-    aiding = {kind: _after(values, initial.t) for kind, values in {**samples, **raw.others}.items() if kind != "imu"}
-    log = SensorLog(imu, initial, name=raw.name, aiding=aiding | {"gnss": gnss})
-    return _cut(config, Recording(log, reference, idle), place)
+        notes += aligned.notes
+    elif asked:
+        initial = turned(initial, config.initial)
+    aiding = {"gnss": gnss, "mag": raw.mag, "baro": raw.baro, **raw.others}
+    aiding = {kind: _after(samples, initial.t) for kind, samples in aiding.items()}
+    log = SensorLog(imu, initial, name=raw.name, aiding=aiding)
+    return _cut(config, Recording(log, reference, tuple(notes)), place)
 
 
-def _respecify(config: RecordingConfig, folder: Path, kind: str, samples: Any) -> Any:
-    """Samples with the specification that the scenario gives, where it gives one."""
-    table = dict(getattr(config, kind))
-    if not table or samples is None:
+def _reference(raw: Raw, grid: Array, place: str) -> Trajectory | None:
+    reference = raw.reference
+    if reference is None and raw.motion is not None:
+        reference = reference_on_grid(grid, raw.motion, place, raw.own_times)
+    return None if reference is None else replace(reference, phases=raw.phases)
+
+
+def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> None:
+    """Samples at their place and time, with the specification that the scenario gives, else the files'."""
+    assert raw.imu is not None
+    for kind in ("imu", "gnss", "mag", "baro"):
+        if (samples := getattr(raw, kind)) is None:
+            continue
+        table = dict(getattr(config, kind))
+        clock, mounting = (table.pop(key, None) for key in PLACEMENT)
+        if kind not in raw.stated and not table and kind in ("imu", "gnss"):
+            raise InputError(
+                f"{place}: nothing states how good the {kind} is; give [recording.{kind}] a model of the catalogue or its figures"
+            )
+        if clock is not None:
+            shift = _number(clock, f"[recording.{kind}] clock_s")
+            samples = replace(samples, t=samples.t + shift)
+            raw.t_start += shift if kind == "imu" else 0.0
+        if mounting is not None:
+            samples = _mounted(kind, samples, mounting)
+        setattr(raw, kind, _respecify(config, folder, kind, samples, table))
+
+
+def _derive_velocities(raw: Raw) -> list[str]:
+    """Velocities of a receiver that states none."""
+    if raw.gnss is None or not raw.gnss_position_only:
+        return []
+    raw.gnss = with_derived_velocity(raw.gnss)
+    sigma = float(np.median(raw.gnss.measurement_std()[:, 3])) if len(raw.gnss.t) else 0.0
+    return [
+        f"{raw.place('gnss')}: states no velocity; velocities are differences of its positions, with a 1 sigma of"
+        f" {sigma:.2g} m/s in the middle"
+    ]
+
+
+def _number(value: Any, key: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise InputError(f"{key} is {shown(value)}, expected a number of seconds to add to its times")
+    return float(value)
+
+
+def _mounted(kind: str, samples: Any, angles: Any) -> Any:
+    """Samples turned from the sensor's axes to b by the sensor's roll, pitch and yaw in the vehicle."""
+    fields = {"imu": ("gyro", "accel"), "mag": ("field",)}.get(kind)
+    if fields is None:
+        raise InputError(f"[recording.{kind}] mounting_deg: a {kind} has no axes")
+    numbers = isinstance(angles, list | tuple) and all(isinstance(a, int | float) for a in angles)
+    if not numbers or len(angles) != 3:
+        raise InputError(f"[recording.{kind}] mounting_deg is {shown(angles)}, expected [roll, pitch, yaw]")
+    matrix = np.array(quat_to_matrix(euler_to_quat(*np.radians(angles))))
+    return replace(samples, **{name: getattr(samples, name) @ matrix.T for name in fields})
+
+
+def _magnetic_field(
+    config: RecordingConfig, raw: Raw, gnss: GnssFixes | None, reference: Trajectory | None
+) -> list[str]:
+    """Give the magnetometer the declination and field of the World Magnetic Model, where nothing states them."""
+    if raw.mag is None or "mag" in raw.stated:
+        return []
+    source = gnss if gnss is not None and len(gnss.t) else reference
+    if source is None:
+        return []
+    from testbed.sensors.magnetometer import field_n
+
+    year = USUAL_YEAR if raw.utc is None else 1970.0 + raw.utc / (365.2425 * 86400.0)
+    year = float(np.clip(year, *FIELD_YEARS))
+    field = field_n(float(source.lat[0]), float(source.lon[0]), float(source.h[0]), year)
+    declination = float(np.arctan2(field[1], field[0]))
+    raw.mag = replace(raw.mag, spec=replace(raw.mag.spec, declination=declination, field_n=field))
+    if config.initial.declination_deg is not None:
+        return []
+    dated = f"in {year:.1f}" if raw.utc is not None else f"in {year:.1f} (no file tells the date)"
+    return [f"declination {np.degrees(declination):.2f}° from the World Magnetic Model at the first fix, {dated}"]
+
+
+def _respecify(config: RecordingConfig, folder: Path, kind: str, samples: Any, table: dict[str, Any]) -> Any:
+    """Samples with the specification of ``table``, where it has one."""
+    if not table:
         return samples
     from testbed.sensors import catalog
 
@@ -225,34 +206,3 @@ def _cut(config: RecordingConfig, recording: Recording, place: str) -> Recording
 def _cut_trajectory(trajectory: Trajectory, keep: NDArray[np.bool_]) -> Trajectory:
     extra = {key: values[keep] for key, values in trajectory.extra.items()}
     return replace(_select(trajectory, keep), extra=extra)
-
-
-def _stored_spec(stored: dict[str, Any], kind: str, folder: Path) -> Any:
-    try:
-        return specs.from_dict(KINDS[kind], stored[kind]) if kind in stored else None
-    except (TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{folder / 'log.json'}: {kind}: {error}") from None
-
-
-def _stored_initial(stored: dict[str, Any], folder: Path) -> InitialState | None:
-    if "initial" not in stored:
-        return None
-    try:
-        values: dict[str, Any] = {
-            k: np.array(v) if isinstance(v, list) else float(v) for k, v in stored["initial"].items()
-        }
-        if np.ndim(values.get("t", 0.0)):
-            raise ValueError("t must be a number of seconds")
-        return InitialState(**values)
-    except (TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{folder / 'log.json'}: initial: {error}") from None
-
-
-def _stored_outages(stored: dict[str, Any], folder: Path) -> tuple[tuple[float, float], ...]:
-    try:
-        pairs = tuple((float(a), float(b)) for a, b in stored.get("outages", []))
-    except (TypeError, ValueError):
-        pairs = ((np.inf, -np.inf),)
-    if not all(np.isfinite(pair).all() and pair[0] <= pair[1] for pair in pairs):
-        raise InputError(f"{folder / 'log.json'}: outages: should be pairs [from, to] in seconds")
-    return pairs

@@ -28,49 +28,45 @@ from testbed.data.records import (
     ImuSamples,
     InitialState,
     MagSamples,
-    SensorLog,
     Trajectory,
 )
 from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
-from testbed.formats.alignment import REFERENCE_STD, Aligned, cut_before, from_first_fix, reference_at
-from testbed.formats.recording import Recording, check_finite, check_place, check_time, existing, reference_on_grid
-from testbed.physics.rotations import euler_error_matrix, euler_to_quat, eulers_to_quats
+from testbed.formats.config import RecordingConfig
+from testbed.formats.raw import Raw
+from testbed.formats.recording import (
+    check_finite,
+    check_place,
+    check_time,
+    existing,
+    read_mat,
+)
+from testbed.physics.rotations import eulers_to_quats
 
 STRUCTS = ("imu", "gnss", "ref", "mag", "baro")
 _MARKOV_PEAK = TriadSpec(bias_instability=1.0).gauss_markov_sigma()
 
 
-def load(
-    folder: str | Path, files: Mapping[str, str] | None = None, sampling: str = "interval", start: str = "gnss"
-) -> Recording:
-    """Import a folder of NaveGo structs.
+def read(config: RecordingConfig, folder: Path) -> Raw:
+    """The structs of a folder: NAME.mat, else NAME1.mat, where ``files`` names none; imu is required.
 
-    ``files`` maps imu, gnss, ref, mag, baro to file names in ``folder`` (default: NAME.mat, else NAME1.mat, where
-    present; imu is required). ``start``: position and velocity at the start come from the first fix ("gnss"; that fix
-    is then not offered to the filter a second time) or from the reference ("reference"), both with the GNSS's standard
-    deviations. Raises InputError that names file, variable and sample.
+    Raises InputError that names file, variable and sample.
     """
-    if sampling not in ("interval", "instant"):
-        raise InputError(f"navego: sampling '{sampling}' is unknown; {nearest(sampling, ('interval', 'instant'))}")
-    paths = _find(Path(folder), files or {})
-    imu_struct = Struct(paths["imu"], "imu")
-    imu = _imu(imu_struct, sampling)
-    gnss = _gnss(Struct(paths["gnss"], "gnss")) if "gnss" in paths else None
-    mag = _mag(Struct(paths["mag"], "mag")) if "mag" in paths else None
-    baro = _baro(Struct(paths["baro"], "baro")) if "baro" in paths else None
-    t_start = imu_struct.time()[0]
-    grid = np.concatenate([[t_start], imu.t])
-    reference = _reference(Struct(paths["ref"], "ref"), grid) if "ref" in paths else None
-    initial = _stored_initial(imu_struct)
-    if initial is None:
-        aligned = _initial(imu_struct, imu, gnss, reference, start)
-        imu, gnss, initial = aligned.imu, aligned.gnss, aligned.initial
-    return Recording(SensorLog(imu, initial, gnss, mag, baro, Path(folder).name), reference)
-
-
-def states_initial(folder: str | Path, files: Mapping[str, str] | None = None) -> bool:
-    """Whether the files hold the whole initial state, as those that the bench wrote do."""
-    return _stored_initial(Struct(_find(Path(folder), files or {})["imu"], "imu")) is not None
+    paths = _find(folder / config.dir, config.files)
+    imu = Struct(paths["imu"], "imu")
+    names = {"reference" if kind == "ref" else kind: str(path) for kind, path in paths.items()}
+    raw = Raw(name=(folder / config.dir).name, places=names, stated=set(paths))
+    raw.imu, raw.t_start = _imu(imu, config.sampling), float(imu.time()[0])
+    raw.gnss = _gnss(Struct(paths["gnss"], "gnss")) if "gnss" in paths else None
+    raw.mag = _mag(Struct(paths["mag"], "mag")) if "mag" in paths else None
+    raw.baro = _baro(Struct(paths["baro"], "baro")) if "baro" in paths else None
+    if "ref" in paths:
+        _add_reference(raw, Struct(paths["ref"], "ref"))
+    raw.initial = _stored_initial(imu)
+    if raw.initial is None:
+        roll_pitch_yaw = check_finite(imu.vector("ini_align"), imu.place("ini_align"))
+        raw.attitude = roll_pitch_yaw, check_finite(imu.vector("ini_align_err"), imu.place("ini_align_err"))
+        raw.gyro_bias = _static_bias(imu, raw)
+    return raw
 
 
 class Struct:
@@ -138,19 +134,11 @@ def _find(folder: Path, files: Mapping[str, str]) -> dict[str, Path]:
 
 
 def _read_struct(path: Path, kind: str) -> tuple[str, dict[str, Array]]:
-    from scipy.io import loadmat
-
-    try:
-        content = loadmat(path)
-    except NotImplementedError:
-        raise InputError(f"{path}: a MATLAB 7.3 (HDF5) file; save it in MATLAB with save(..., '-v7')") from None
-    except Exception as error:  # scipy raises anything from zlib.error to IndexError on damaged files
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise InputError(f"{path}: not a readable .mat file, corrupt or truncated ({reason})") from None
-    found = {k: v for k, v in content.items() if not k.startswith("__") and getattr(v, "dtype", np.dtype("f8")).names}
+    content = read_mat(path)
+    found = {k: v for k, v in content.items() if getattr(v, "dtype", np.dtype("f8")).names}
     name = next((k for k in (kind, f"{kind}1") if k in found), None) or (next(iter(found)) if len(found) == 1 else None)
     if name is None:
-        others = [k for k in content if not k.startswith("__")]
+        others = list(content)
         raise InputError(f"{path}: holds no struct '{kind}' (variables: {', '.join(others) or 'none'})")
     struct = found[name]
     if struct.size != 1:
@@ -180,7 +168,7 @@ def _triad(struct: Struct, letter: str) -> TriadSpec:
     usable = np.isfinite(times) & (times > 0.0)
     dynamic = _rms(struct, struct.vector(f"{letter}b_dyn", zero), f"{letter}b_dyn") if usable.any() else 0.0
     return TriadSpec(
-        turn_on_bias=_rms(struct, struct.vector(f"{letter}b_sta", zero), f"{letter}b_sta"),
+        turn_on_bias=_rms(struct, np.abs(struct.vector(f"{letter}b_sta", zero)), f"{letter}b_sta"),
         bias_instability=dynamic / _MARKOV_PEAK,
         correlation_time_s=float(times[usable].mean()) if usable.any() else TriadSpec.correlation_time_s,
         white_noise=_rms(struct, struct.vector(white), white),
@@ -226,51 +214,34 @@ def _baro(struct: Struct) -> BaroSamples:
     return BaroSamples(struct.time(), struct.series("p"), _stored_spec(struct, BaroSpec) or BaroSpec("navego baro"))
 
 
-def _reference(struct: Struct, grid: Array) -> Trajectory:
-    t, lat, lon, h, v_n = (
-        struct.time(),
-        struct.series("lat"),
-        struct.series("lon"),
-        struct.series("h"),
-        struct.series("vel", 3),
-    )
+def _add_reference(raw: Raw, struct: Struct) -> None:
+    t, lat, lon, h = struct.time(), struct.series("lat"), struct.series("lon"), struct.series("h")
+    v_n = struct.series("vel", 3)
     check_place(lat, lon, str(struct.path))
     if struct.has("q_nb"):
         q_nb = struct.series("q_nb", 4)
     else:
         q_nb = eulers_to_quats(np.column_stack([struct.series(k) for k in ("roll", "pitch", "yaw")]))
+    raw.motion = (t, lat, lon, h, v_n, q_nb)
     if struct.has("f_b") and struct.has("w_ib_b"):
-        return Trajectory(
+        raw.reference = Trajectory(
             t, lat, lon, h, v_n, q_nb, struct.series("f_b", 3), struct.series("w_ib_b", 3), name="reference"
         )
-    return reference_on_grid(grid, (t, lat, lon, h, v_n, q_nb), str(struct.path))
 
 
-def _initial(
-    struct: Struct, imu: ImuSamples, gnss: GnssFixes | None, reference: Trajectory | None, start: str
-) -> Aligned:
-    """Attitude from ini_align with ini_align_err; place from the first fix or the reference; biases zero, turn-on sigma."""
-    if start not in ("gnss", "reference"):
-        raise InputError(f"navego: start '{start}' is unknown; {nearest(start, ('gnss', 'reference'))}")
-    t, spec = float(struct.time()[0]), imu.spec
-    roll, pitch, yaw = check_finite(struct.vector("ini_align"), struct.place("ini_align"))
-    euler_std = check_finite(struct.vector("ini_align_err"), struct.place("ini_align_err"))
-    q_nb = np.array(euler_to_quat(roll, pitch, yaw))
-    bias_std = np.repeat([spec.accel.turn_on_bias, spec.gyro.turn_on_bias], 3)
-    if start == "gnss" and gnss is not None and len(gnss.t):
-        imu, t = cut_before(imu, t, float(gnss.t[0]), str(struct.path.parent))
-        lat, lon, h, v_n, motion_std, gnss = from_first_fix(gnss, t, q_nb)
-    elif start == "reference" and reference is not None:
-        imu, t = cut_before(imu, t, float(reference.t[0]), str(struct.path.parent))
-        lat, lon, h, v_n, _ = reference_at(reference, t)
-        motion_std = gnss.measurement_std()[0] if gnss is not None and len(gnss.t) else REFERENCE_STD[:6]
-    else:
-        raise InputError(
-            f'{struct.path.parent}: start = "{start}" needs a file {"gnss" if start == "gnss" else "ref"}.mat'
-        )
-    attitude_std = np.sqrt(np.array(euler_error_matrix(roll, pitch, yaw)) ** 2 @ euler_std**2)
-    std = np.concatenate([motion_std, attitude_std, bias_std])
-    return Aligned(imu, gnss, InitialState(t, lat, lon, h, v_n, q_nb, np.zeros(3), np.zeros(3), std))
+def _static_bias(struct: Struct, raw: Raw) -> Array | None:
+    """``gb_sta`` as a signed bias, where one of its values is negative.
+
+    NaveGo subtracts it from the gyros. Profiles made from data sheets hold the size of the turn-on bias there, all positive,
+    from which NaveGo draws; that is a sigma.
+    """
+    values = check_finite(struct.vector("gb_sta", (0.0, 0.0, 0.0)), struct.place("gb_sta"))
+    if not (values < 0.0).any():
+        return None
+    raw.notes.append(
+        f"{struct.place('gb_sta')} has negative values: it is read as the gyros' bias, {values.tolist()} rad/s"
+    )
+    return values
 
 
 def _text(struct: Struct, field: str) -> str:

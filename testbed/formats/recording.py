@@ -81,10 +81,29 @@ def existing(path: Path, what: str) -> Path:
     raise InputError(f"{path}: no such file (wanted for the {what}){found}")
 
 
-def reference_on_grid(grid: Array, motion: tuple[Array, ...], name: str) -> Trajectory:
+def read_mat(path: Path) -> dict[str, Any]:
+    """Variables of a MATLAB file up to version 7. Raises InputError for one that cannot be read."""
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(path)
+    except NotImplementedError:
+        raise InputError(f"{path}: a MATLAB 7.3 (HDF5) file; save it in MATLAB with save(..., '-v7')") from None
+    except Exception as error:  # scipy raises anything from zlib.error to IndexError on damaged files
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise InputError(f"{path}: not a readable .mat file, corrupt or truncated ({reason})") from None
+    return {name: values for name, values in content.items() if not name.startswith("__")}
+
+
+SLOWEST_REFERENCE = 0.11
+"""s: longer steps of a reference are not interpolated. At 10 Hz an angular acceleration of 1 rad/s² bends the attitude by
+1 rad/s² (0.1 s)²/8 = 0.07° between two rows, which is what the references of cheap sensors are good for."""
+
+
+def reference_on_grid(grid: Array, motion: tuple[Array, ...], name: str, own_times: bool = False) -> Trajectory:
     """Recorded motion (t, lat, lon, h, v_n, q_nb) as a Trajectory on ``grid``, as far as it reaches.
 
-    Rows that fall on the grid (to 1 ns) are kept as they are; else positions are cubic Hermite with the recorded
+    A slow reference, or one with gaps, keeps its own times (and so does any with ``own_times``), and only these are scored. Rows that fall on the grid (to 1 ns) are kept as they are; else positions are cubic Hermite with the recorded
     velocity, velocities linear, attitudes along the shortest arc. ``f_b`` and ``w_ib_b`` are the implied IMU means.
     """
     t, lat, lon, h, v_n, q_nb = motion
@@ -95,10 +114,18 @@ def reference_on_grid(grid: Array, motion: tuple[Array, ...], name: str) -> Traj
         raise InputError(
             f"{name}: the reference ({t[0]:.6g} to {t[-1]:.6g} s) does not overlap the IMU ({grid[0]:.6g} to {grid[-1]:.6g} s)"
         )
-    if len(inside) != len(t) or np.abs(inside - t).max() > 1e-9:
+    own_times = own_times or bool(np.diff(t).max() > SLOWEST_REFERENCE)
+    if own_times:
+        keep = (t >= grid[0] - 1e-9) & (t <= grid[-1] + 1e-9)
+        if keep.sum() < 2:
+            raise InputError(
+                f"{name}: the reference has {int(keep.sum())} rows while the IMU records, at least 2 are needed"
+            )
+        inside, lat, lon, h, v_n, q_nb = (values[keep] for values in motion)
+    elif len(inside) != len(t) or np.abs(inside - t).max() > 1e-9:
         lat, lon, h, v_n, q_nb = interpolate_motion(inside, t, lat, lon, h, v_n, q_nb)
     f_b, w_ib_b = implied_imu(inside, lat, h, v_n, q_nb)
-    return Trajectory(inside, lat, lon, h, v_n, q_nb, f_b, w_ib_b, name=name)
+    return Trajectory(inside, lat, lon, h, v_n, q_nb, f_b, w_ib_b, name=name, own_times=own_times)
 
 
 def interpolate_motion(

@@ -4,7 +4,7 @@ Files ``imu``, ``gnss``, ``mag``, ``baro``, ``reference`` (.csv or .parquet); on
 order and any unit that `testbed.data.column_units` lists (further columns are ignored):
 
 - imu: ``time_s, gyro_x_radps, gyro_y.., gyro_z.., accel_x_mps2, accel_y.., accel_z..`` in b (forward-right-down)
-- gnss: ``time_s, lat_deg, lon_deg, alt_m, v_north_mps, v_east_mps, v_down_mps`` of the antenna, and as an option the
+- gnss: ``time_s, lat_deg, lon_deg, alt_m`` of the antenna, as an option ``v_north_mps, v_east_mps, v_down_mps`` and the
   receiver's 1 sigma ``std_north_m, std_east_m, std_down_m, std_v_north_mps, std_v_east_mps, std_v_down_mps``
 - mag: ``time_s, mag_x_ut, mag_y.., mag_z..``; baro: ``time_s, pressure_pa``
 - reference: ``time_s``, place and velocity as in gnss, and ``roll_deg, pitch_deg, yaw_deg`` or ``q_nb_0 .. q_nb_3``
@@ -39,6 +39,7 @@ _PLACE = {"lat": "angle", "lon": "angle", "alt": "length"} | {f"v_{a}": "speed" 
 _EULER = dict.fromkeys(("roll", "pitch", "yaw"), "angle")
 _QUATERNION = {f"q_nb_{i}": "number" for i in range(4)}
 _STD = {f"std_{a}": "length" for a in _NED} | {f"std_v_{a}": "speed" for a in _NED}
+STD, VELOCITY = tuple(_STD), tuple(f"v_{a}" for a in _NED)
 
 REQUIRED: dict[str, dict[str, str]] = {
     "imu": {"time": "time"}
@@ -51,7 +52,11 @@ REQUIRED: dict[str, dict[str, str]] = {
     "reference": {"time": "time"} | _PLACE,
 }
 """Part -> stem of each column -> quantity."""
-OPTIONAL: dict[str, dict[str, str]] = {"gnss": _STD, "reference": _EULER | _QUATERNION}
+REQUIRED["gnss"] = {stem: quantity for stem, quantity in REQUIRED["gnss"].items() if stem not in VELOCITY}
+OPTIONAL: dict[str, dict[str, str]] = {
+    "gnss": _STD | dict.fromkeys(VELOCITY, "speed"),
+    "reference": _EULER | _QUATERNION,
+}
 STORED = "log.json"
 EPOCH = 1e7
 
@@ -66,8 +71,12 @@ class Tables:
         self.folder = folder
         self.parts: dict[str, dict[str, Array]] = {}
         base: int | None = None
-        for part, path in _find(folder, files).items():
+        found = _find(folder, files)
+        self.places = {part: str(path) for part, path in found.items()}
+        for part, path in found.items():
             self.parts[part], base = _read_part(path, part, _mapping_of(part, columns), base)
+        self.base = base or 0
+        """The whole second that times are counted from: 0, or since an epoch."""
 
     def block(self, part: str, stems: tuple[str, ...] | list[str]) -> Array:
         """(N,k) of the named columns."""

@@ -21,8 +21,8 @@ from testbed.base.errors import InputError, MissingExtra
 from testbed.data.records import Array, BaroSamples, GnssFixes, ImuSamples, MagSamples
 from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 from testbed.formats.config import RecordingConfig
-from testbed.formats.importers import Raw, finish
-from testbed.formats.recording import Recording, check_finite, check_place, check_time, existing
+from testbed.formats.raw import Raw
+from testbed.formats.recording import check_finite, check_place, check_time, existing
 
 IMU_TOPICS, GNSS_TOPICS = ("sensor_combined", "vehicle_imu"), ("vehicle_gps_position", "sensor_gps")
 MAG_TOPICS, BARO_TOPICS = ("vehicle_magnetometer", "sensor_mag"), ("vehicle_air_data", "sensor_baro")
@@ -46,21 +46,21 @@ LEAST_STD = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05])
 """Receivers state less than they deliver: floor of the GNSS sigmas, m and m/s."""
 COVERAGE = 0.9
 """Share of the time that integrated samples must cover; topics logged at a reduced rate leave gaps."""
+LEVEL_FIELD = 20.0
+"""µT: horizontal field of `testbed.data.specs.MagSpec`, turned by the log's declination."""
 EARTH_RADIUS = 6371000.0
 """m: the sphere of PX4's local projection (its ``map_projection``)."""
 
 Topic = dict[str, Array]
 
 
-def load(config: RecordingConfig, folder: Path) -> Recording:
-    """Read what ``config`` describes. Raises InputError that names the file and what is wrong with it."""
-    root = folder / config.dir
-    return finish(config, folder, read(root, config.files, config.allow_truncated), str(root))
+def read(config: RecordingConfig, folder: Path) -> Raw:
+    """Sample tables of one .ulg file (part ``log``; default: the only one in the folder)."""
+    return read_file(_file(folder / config.dir, config.files), config.allow_truncated)
 
 
-def read(folder: Path, files: Mapping[str, str], allow_truncated: bool = False) -> Raw:
-    """Sample tables of one .ulg file in ``folder`` (part ``log``; default: the only one there)."""
-    path = _file(folder, files)
+def read_file(path: Path, allow_truncated: bool = False) -> Raw:
+    """Sample tables of a .ulg file. Raises InputError that names what is wrong with it."""
     log = _open(path, allow_truncated)
     topics = {(data.name, data.multi_id): data.data for data in log.data_list}
     imu_us, gyro, accel = _imu(path, topics)
@@ -69,7 +69,7 @@ def read(folder: Path, files: Mapping[str, str], allow_truncated: bool = False) 
     if len(imu_us) - first < 4:
         raise InputError(f"{path}: the IMU ends {(gnss_us[0] - imu_us[-1]) * 1e-6:.3g} s before the first GNSS fix")
     clock = _Clock(imu_us[first])
-    raw = Raw(name=path.stem)
+    raw = Raw(name=path.stem, places=dict.fromkeys(("imu", "gnss", "mag", "baro", "reference"), str(path)))
     t = clock.seconds(imu_us[first + 1 :])
     rate = float(np.round(1.0 / np.median(np.diff(t)), 3))
     raw.imu = ImuSamples(t, gyro[first + 1 :], accel[first + 1 :], replace(DEFAULT_IMU, rate_hz=rate))
@@ -79,9 +79,16 @@ def read(folder: Path, files: Mapping[str, str], allow_truncated: bool = False) 
         **{k: gnss[k][keep] for k in ("lat", "lon", "h", "v_n", "std")},
         spec=gnss["spec"],
     )
+    raw.utc = None if gnss["utc"] is None else gnss["utc"] - float(clock.seconds(gnss_us[:1])[0])
     raw.mag, raw.baro = _mag(path, topics, clock), _baro(path, topics, clock)
     raw.motion = _reference(path, topics, clock, gnss["undulation"])
-    raw.stated = {"imu", "gnss", "mag", "baro"}
+    raw.stated = {"imu", "gnss", "baro"}
+    declination = float(log.initial_parameters.get("EKF2_MAG_DECL", 0.0))
+    if raw.mag is not None and declination != 0.0:  # PX4 keeps there what its world map says, and 0 before it has a fix
+        east = np.radians(declination)
+        field = (LEVEL_FIELD * np.cos(east), LEVEL_FIELD * np.sin(east), MagSpec.field_n[2])
+        raw.mag = replace(raw.mag, spec=replace(raw.mag.spec, declination=float(east), field_n=field))
+        raw.stated.add("mag")
     return raw
 
 
@@ -254,8 +261,15 @@ def _gnss(
         "std": std,
         "spec": spec,
         "undulation": undulation,
+        "utc": _utc(data, rows[0]),
     }
     return us[good], out
+
+
+def _utc(data: Topic, row: int) -> float | None:
+    """Unix time of a fix, s; None where the receiver did not know it."""
+    us = float(data["time_utc_usec"][row]) if "time_utc_usec" in data else 0.0
+    return us * 1e-6 if us > 1e15 else None  # microseconds since 2001
 
 
 def _mag(path: Path, topics: Mapping[tuple[str, int], Topic], clock: _Clock) -> MagSamples | None:

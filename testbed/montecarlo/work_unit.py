@@ -23,6 +23,7 @@ from testbed.base.errors import InputError, TestbedError
 from testbed.base.time_limit import TimeLimitError, time_limit
 from testbed.data.records import Array, NavSolution, SensorErrors, SensorLog, Trajectory
 from testbed.data.registry import load_plugin, make_estimator
+from testbed.data.shapes import gaps_of
 from testbed.montecarlo import first_run as details
 from testbed.scenario import EstimatorConfig, Scenario
 from testbed.scenario.windows import Window
@@ -176,7 +177,7 @@ class Bench:
         with np.errstate(all="ignore"):
             try:
                 span = max(trajectory.t[0], log.imu.t[0]), min(trajectory.t[-1], log.imu.t[-1])
-                if gap := metrics.coverage(solution, *span):
+                if gap := metrics.coverage(solution, *span, gaps_of(log.imu.t)):
                     raise InputError(gap)
                 series = metrics.error_series(trajectory, solution)
                 reason = metrics.divergence(series, self.setup.scenario.monte_carlo.divergence_position_m)

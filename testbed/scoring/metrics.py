@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from testbed.data.records import (
     ACCEL_BIAS_STATES,
     GYRO_BIAS_STATES,
+    KNOWN,
     NAVIGATION_STATES,
     Array,
     GnssFixes,
@@ -69,6 +70,8 @@ class ErrorSeries:
     values: Array
     phi: Array
     scored: tuple[Quantity, ...] = tuple(QUANTITIES.values())
+    known: tuple[str, ...] = KNOWN
+    """What the truth knows of the motion."""
 
     def axes(self) -> list[int]:
         """The columns of ``values`` that are scored."""
@@ -90,15 +93,43 @@ class Consistency:
 
 
 def error_series(trajectory: Trajectory, solution: NavSolution) -> ErrorSeries:
-    """Errors at the solution's times that lie within the trajectory; truth is interpolated where the grids differ."""
+    """Errors at the solution's times that lie within the trajectory; truth is interpolated where the grids differ.
+
+    Of a truth that is known at its own times only, at these: there the solution is interpolated.
+    """
+    if trajectory.own_times:
+        return _errors_at_rows(trajectory, solution)
     inside = (solution.t >= trajectory.t[0] - _TIME_TOLERANCE) & (solution.t <= trajectory.t[-1] + _TIME_TOLERANCE)
     t = solution.t[inside]
     lat, lon, h, v_n, q_nb = truth_at(trajectory, t)
     ned = earth.position_difference(solution.lat[inside], solution.lon[inside], solution.h[inside], lat, lon, h)
-    q_est = solution.q_nb[inside]
+    q_est, velocity = solution.q_nb[inside], solution.v_n[inside] - v_n
+    return _series(t, np.column_stack(ned), velocity, q_est, q_nb, solution.states, trajectory.known)
+
+
+def _series(
+    t: Array, ned: Array, velocity: Array, q_est: Array, q_nb: Array, states: Sequence[str], known: tuple[str, ...]
+) -> ErrorSeries:
     euler = rotations.wrap(rotations.quats_to_eulers(q_est) - rotations.quats_to_eulers(q_nb))
-    values = np.column_stack([*ned, solution.v_n[inside] - v_n, np.degrees(euler)])
-    return ErrorSeries(t, values, rotations.attitude_errors(q_est, q_nb), scored_quantities(solution.states))
+    values = np.column_stack([ned, velocity, np.degrees(euler)])
+    return ErrorSeries(t, values, rotations.attitude_errors(q_est, q_nb), scored_quantities(states, known), known)
+
+
+def _errors_at_rows(trajectory: Trajectory, solution: NavSolution) -> ErrorSeries:
+    """Errors at the rows of the trajectory that lie within the solution, at the point that the rows describe."""
+    from testbed.physics.interpolate import state_at
+
+    rows = trajectory.t
+    inside = (rows >= solution.t[0] - _TIME_TOLERANCE) & (rows <= solution.t[-1] + _TIME_TOLERANCE)
+    t = rows[inside]
+    lat, lon, h, v_n, q_est = state_at(solution, t)  # type: ignore[arg-type]  # the five arrays that it reads
+    ned = np.column_stack(
+        earth.position_difference(lat, lon, h, trajectory.lat[inside], trajectory.lon[inside], trajectory.h[inside])
+    )
+    if any(trajectory.arm_b):
+        ned = ned + rotations.quats_to_matrices(q_est) @ np.array(trajectory.arm_b)
+    velocity, q_nb = v_n - trajectory.v_n[inside], trajectory.q_nb[inside]
+    return _series(t, ned, velocity, q_est, q_nb, solution.states, trajectory.known)
 
 
 def truth_at(trajectory: Trajectory, t: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -187,7 +218,7 @@ def consistency(
     """
     out: dict[str, Consistency] = {}
     if solution.covariance is not None and solution.covariance_t is not None and len(series.t):
-        keep = (solution.covariance_t >= series.t[0]) & (solution.covariance_t <= series.t[-1])
+        keep = _at_rows(series.t, solution.covariance_t, solution.t)
         t, covariance = solution.covariance_t[keep], solution.covariance[keep]
         known = _state_errors(series, solution, errors, t) if len(t) else {}
         for name, test in NEES.items():
@@ -199,12 +230,19 @@ def consistency(
     return out | _innovation_tests(solution)
 
 
+def _at_rows(rows: Array, t: Array, grid: Array) -> NDArray[np.bool_]:
+    """Which of the times ``t`` (K,) lie within ``rows``, and no further from one of them than a step of ``grid``."""
+    near = np.abs(rows[nearest_rows(rows, t)] - t) <= float(np.median(np.diff(grid))) + _TIME_TOLERANCE
+    return (t >= rows[0]) & (t <= rows[-1]) & near
+
+
 def _state_errors(
     series: ErrorSeries, solution: NavSolution, errors: SensorErrors | None, t: Array
 ) -> dict[str, Array]:
     """Errors (K,) of the states whose truth is known, at times ``t`` (K,)."""
     k = nearest_rows(series.t, t)
     found = dict(zip(NAVIGATION_STATES, np.column_stack([series.values[k, :6], series.phi[k]]).T, strict=True))
+    found = {state: error for state, error in found.items() if state.startswith(series.known)}
     if errors is None:
         return found
     own, true = nearest_rows(solution.t, t), nearest_rows(errors.t, t)
@@ -278,19 +316,23 @@ def divergence(series: ErrorSeries, limit_m: float) -> str:
     return ""
 
 
-def coverage(solution: NavSolution, start: float, end: float) -> str:
+def coverage(solution: NavSolution, start: float, end: float, gaps: Sequence[tuple[float, float]] = ()) -> str:
     """What of the flight from ``start`` to ``end`` (s) a solution leaves out, or an empty string.
 
     Up to `UNCOVERED` of it, and a second more, may lack at either end or between two samples: an estimator may align first, or
-    answer once a second, but not pick the part of the flight that it is scored on.
+    answer once a second, but not pick the part of the flight that it is scored on. ``gaps`` (s) are those of the recorded IMU,
+    in which nobody can say anything.
     """
     allowed = UNCOVERED * (end - start) + 1.0
     t = solution.t[(solution.t >= start - allowed) & (solution.t <= end + allowed)]
     told = f"covers {solution.t[0]:.6g} to {solution.t[-1]:.6g} s of a flight from {start:.6g} to {end:.6g} s"
     if len(t) == 0 or t[0] - start > allowed or end - t[-1] > allowed:
         return told
-    gap = int(np.argmax(np.diff(t))) if len(t) > 1 else 0
-    if len(t) > 1 and t[gap + 1] - t[gap] > allowed:
+    silent = np.diff(t)
+    for before, after in gaps:
+        silent -= np.clip(np.minimum(t[1:], after) - np.maximum(t[:-1], before), 0.0, None)
+    gap = int(np.argmax(silent)) if len(t) > 1 else 0
+    if len(t) > 1 and silent[gap] > allowed:
         return f"says nothing between {t[gap]:.6g} and {t[gap + 1]:.6g} s"
     return ""
 

@@ -55,6 +55,8 @@ _NED = ("north", "east", "down")
 _POSITION = tuple(f"position_{axis}_m" for axis in _NED)
 _VELOCITY = tuple(f"velocity_{axis}_mps" for axis in _NED)
 _ATTITUDE = tuple(f"attitude_{axis}_rad" for axis in _NED)
+_GROUPS = {"position": _POSITION, "velocity": _VELOCITY, "attitude": _ATTITUDE}
+"""What a truth may know: `testbed.data.records.KNOWN`."""
 
 QUANTITIES: dict[str, Quantity] = {
     q.name: q
@@ -143,10 +145,14 @@ def is_consistency(name: str) -> bool:
     return name in NEES or name == NIS or name.startswith(f"{NIS}_")
 
 
-def scored_quantities(states: Sequence[str]) -> tuple[Quantity, ...]:
-    """Those that an estimator of these states answers for: all where it names none of position, velocity and attitude."""
-    named = {*_POSITION, *_VELOCITY, *_ATTITUDE} & set(states)
-    return tuple(q for q in QUANTITIES.values() if not named or named.issuperset(q.states))
+def scored_quantities(states: Sequence[str], known: Sequence[str] = tuple(_GROUPS)) -> tuple[Quantity, ...]:
+    """Those that an estimator of these states answers for: all where it names none of position, velocity and attitude.
+
+    ``known`` are the groups of them that the truth knows.
+    """
+    named = {*_POSITION, *_VELOCITY, *_ATTITUDE} & set(states) or {*_POSITION, *_VELOCITY, *_ATTITUDE}
+    told = named & {state for group in known for state in _GROUPS[group]}
+    return tuple(q for q in QUANTITIES.values() if told.issuperset(q.states))
 
 
 def split_metric(metric: str) -> tuple[str, str]:

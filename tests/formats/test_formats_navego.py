@@ -11,7 +11,7 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from testbed.base.errors import InputError
-from testbed.formats import export_log, import_log, navego
+from testbed.formats import export_log, import_log
 from testbed.formats.recording import Recording
 from testbed.physics import earth
 
@@ -98,7 +98,7 @@ def test_own_export_without_our_fields_is_plain_navego(folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def example() -> Recording:
-    return navego.load(EXAMPLE)
+    return import_log("navego", EXAMPLE)
 
 
 @needs_example

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from parity_cases import (
     AHRS,
+    AHRS_0_1,
     NO_BIASES,
     PLANS,
     SEARCHED,
@@ -77,7 +78,7 @@ CHANGED = (
     Case("rstekf", "rstekf", {"position_std_scale": NEARLY}),
     Case("imm-ekf", "imm-ekf", {"stay_probability": 0.96 * NEARLY}),
     Case("imm-rstekf", "imm-rstekf", {"velocity_std_scale": NEARLY}),
-    Case("ahrs-kf", "ahrs-kf", {"mag_noise_scale": 9.06 * NEARLY}, **AHRS),
+    Case("ahrs-kf", "ahrs-kf", AHRS_0_1 | {"mag_noise_scale": 9.06 * NEARLY}, **AHRS),
 )
 
 

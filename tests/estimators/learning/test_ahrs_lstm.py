@@ -12,7 +12,7 @@ from estimators.learning.ahrs_lessons import Lesson, Teacher, true_acceleration,
 from estimators.learning.ahrs_lstm import AhrsLstm
 from estimators.learning.ahrs_lstm_kernels import network_step, work_space
 from estimators.learning.ahrs_weights import assemble, load_weights, untrained_weights
-from estimators.methods.ahrs_kf import AhrsKf
+from estimators.methods.ahrs_kf import WITHOUT, AhrsKf
 from testbed.base.errors import InputError
 
 torch.set_num_threads(1)  # the arrays are small: threads only cost
@@ -79,7 +79,7 @@ def test_a_lesson_holds_what_the_filter_saw(flights, tmp_path):
 
 def test_a_teacher_that_is_told_the_acceleration_trusts_the_rest_more(flights, tmp_path):
     """Where there is more acceleration than usual along an axis, its column of the gain on attitude is smaller."""
-    kf = AhrsKf(linear_accel_mps2=0.3, linear_accel_time_s=0.03)
+    kf = AhrsKf(**WITHOUT | {"linear_accel_mps2": 0.3, "linear_accel_time_s": 0.03})
     lesson = write_lesson(flights[0], kf, Teacher(kf, 4.0), untrained_weights(1, 4), True, tmp_path / "told.f32")
     gain = lesson.read(0, lesson.rows)[:, 90:].reshape(-1, 6, 12)[:, :3, :3]
     log, gravity_b = flights[0].log(), flights[0].gravity_b()
@@ -105,7 +105,7 @@ def test_reading_lessons_takes_memory_for_a_chunk_alone(tmp_path):
 
 def test_training_lowers_the_error_and_stores_it(flights, tmp_path):
     """The filter expects far larger field noise than there is: higher gains are better, and there is much to learn."""
-    said, wrong = [], {"mag_noise_scale": 300.0, "linear_accel_mps2": 60.0}
+    said, wrong = [], WITHOUT | {"mag_noise_scale": 300.0, "linear_accel_mps2": 60.0}
     right = {"mag_noise_scale": 8.0, "linear_accel_mps2": 1.0}
     path = trained(flights, tmp_path, epochs=8, chunk_s=1.0, tell=said.append, filter_params=wrong, teacher=right)
     curve = (tmp_path / "learning-curve.csv").read_text().splitlines()

@@ -5,6 +5,7 @@ import pytest
 from ahrs_simulation import body_errors, simulate
 from scipy.stats import chi2
 
+from estimators.methods.ahrs_eskf import AhrsEskf
 from estimators.methods.ahrs_kernels import (
     Figures,
     OwnGain,
@@ -16,10 +17,11 @@ from estimators.methods.ahrs_kernels import (
     observe,
     predict,
 )
-from estimators.methods.ahrs_kf import AhrsKf
+from estimators.methods.ahrs_kf import WITHOUT, AhrsKf
 from testbed.base.errors import InputError
-from testbed.data.records import ATTITUDE_STATES, SensorLog, Trajectory
+from testbed.data.records import ATTITUDE_STATES, ImuSamples, MagSamples, SensorLog, Trajectory
 from testbed.physics.rotations import attitude_errors, quat_to_matrix, rotvec_to_quat
+from testbed.scenario import load_scenario
 from testbed.scoring.metrics import error_series
 
 FIGURES = Figures(0.01, 0.02, 0.03, 0.04, 0.5, 0.6, 0.99, 0.9, 0.95, 0.02, 9.8, 0.0, 0.0, 0.1)
@@ -132,7 +134,7 @@ def test_the_disturbances_are_worth_modelling():
     for seed in range(4):
         log, truth, estimator = simulate(seed, 40.0)
         good.append(error(estimator, log, truth))
-        blind.append(error(AhrsKf(0.02, 0.02, 0.02, 0.02, 1.0, 1.0, 1.0, 1.0), log, truth))
+        blind.append(error(AhrsKf(0.02, 0.02, 0.02, 0.02, **WITHOUT), log, truth))
     assert np.mean(good) < 0.5 * np.mean(blind)
 
 
@@ -213,21 +215,55 @@ def roll_pitch_rmse(trajectory: Trajectory, estimator, log) -> float:
     return float(np.sqrt(np.mean(error_series(trajectory, estimator.run(log)).values[:, 6:8] ** 2)))
 
 
+def row(label):
+    """A filter as a row of the scenario has it."""
+    (entry,) = [e for e in load_scenario("ahrs-lstm-2022").estimators if e.row == label]
+    return AhrsKf(**entry.params)
+
+
 def test_no_straw_man_on_a_flight_with_a_loiter(flight):
-    """Its default parameters beat Madgwick and Mahony at their package's gains; data-sheet noise alone does not hold."""
+    """As the scenario tunes it, it beats Madgwick and Mahony at their package's gains; data-sheet noise alone does not hold."""
     pytest.importorskip("ahrs")
     from estimators.peers.ahrs_peers import Madgwick, Mahony
 
     trajectory, log = flight
-    ours = roll_pitch_rmse(trajectory, AhrsKf(), log)
+    ours = roll_pitch_rmse(trajectory, row("KF"), log)
     assert ours < min(roll_pitch_rmse(trajectory, peer, log) for peer in (Madgwick(), Mahony()))
     assert ours < 1.5
 
 
 def test_knowing_turns_pays_on_a_flight_with_a_loiter(flight):
     """The scenario's adaptive row against the tuned filter: the loiter is half of the flight, and its end is straight."""
-    from testbed.scenario import load_scenario
-
     trajectory, log = flight
-    (entry,) = [e for e in load_scenario("ahrs-lstm-2022").estimators if e.row == "adaptive KF"]
-    assert roll_pitch_rmse(trajectory, AhrsKf(**entry.params), log) < roll_pitch_rmse(trajectory, AhrsKf(), log)
+    assert roll_pitch_rmse(trajectory, row("adaptive KF"), log) < roll_pitch_rmse(trajectory, row("KF"), log)
+
+
+def test_a_tuner_may_search_around_every_default():
+    """Every parameter that is searched lies inside its range, of this filter and of the one beside it."""
+    for kind in (AhrsKf, AhrsEskf):
+        for key, (low, high, _) in kind.parameter_space.items():
+            assert low < getattr(kind(), key) < high, key
+
+
+def test_a_faster_magnetometer_weighs_no_more():
+    """By default a second of field samples tells the same at 50 Hz and at 286 Hz: variance times interval stays."""
+    log, told = simulate(0, 4.0, noise=0.0).log, []
+    for rate_hz in (50.0, 286.0):
+        t = np.arange(1, round(4.0 * rate_hz) + 1) / rate_hz
+        imu = ImuSamples(t, np.zeros((len(t), 3)), np.tile([0.0, 0.0, -9.8], (len(t), 1)), log.imu.spec)
+        mag = MagSamples(t, np.zeros((len(t), 3)), log.mag.spec)
+        told.append(AhrsKf().figures(SensorLog(imu, log.initial, mag=mag)).mag_variance / rate_hz)
+    # the specification's own 0.05 uT per sample is a part in 3e6 of 12 uT as a mean over a second
+    assert told[0] == pytest.approx(told[1], rel=1e-6)
+
+
+def test_an_error_of_scale_is_doubted_in_proportion_to_the_turn(start):
+    """Over a second at 2 rad/s with a relative error of 1 %: 0.02 rad, 1 sigma, about each axis."""
+    state, p, _ = start
+    state[4:7], p[:] = 0.0, 0.0
+    figures = FIGURES._replace(gyro_variance=0.0, bias_variance=0.0, scale_variance=0.01**2)
+    samples = Samples(np.array([[0.0, 0.0, 2.0]]), *(np.zeros((1, 3)),) * 2, np.array([-1]), np.zeros(3))
+    model = make_filter(samples, figures, (state, p), OwnGain(np.zeros(1)), OwnGain(np.zeros(1)))
+    for _ in range(50):
+        predict(model, 0, 0.02, 1.0)
+    np.testing.assert_allclose(np.diag(p)[:3], 0.02**2, rtol=2e-4)  # the sine of half a turn of 0.04 rad for its angle

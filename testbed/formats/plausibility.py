@@ -1,0 +1,285 @@
+"""Is a recording what its columns say? One set of checks for all formats, before anything is aligned.
+
+Each finding is a refusal (InputError: file, what was found, what would be right) where no estimator could give a right
+answer, or a sentence that is told once and stands in the report. What both IMU and GNSS show of the motion, the turns
+and the size of the acceleration, is compared in `testbed.formats.agreement`. SI units, radians; n and b as everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.base.errors import InputError
+from testbed.data.records import Array, GnssFixes
+from testbed.data.shapes import gaps_of
+from testbed.formats import agreement, first_motion
+from testbed.formats.raw import Raw
+from testbed.physics import earth
+from testbed.physics.earth import G0
+from testbed.physics.rotations import quats_to_matrices
+
+FASTEST_GYRO = 40.0
+"""rad/s: MEMS gyros end at 4000 °/s = 70 rad/s and their usual full scale is 2000 °/s = 35 rad/s."""
+FAR_REFERENCE_M = 1000.0
+"""No datum, antenna or receiver sets a reference this far from the fixes of the same vehicle."""
+OFF_REFERENCE_M = 50.0
+"""Further than a geoid undulation is rare among receivers; below it nothing is said."""
+FACTORS = {"g": G0, "mg": 1e-3 * G0, "ft/s²": 0.3048}
+"""Units that an accelerometer's numbers are often in, to m/s²."""
+DISTANCE_S = 10.0
+"""Over which distances are compared: a metre of position noise is then 0.1 m/s."""
+MOST_ROWS = 20_000
+"""Rows of a reference that are compared: the mean of so many says as much as that of all."""
+
+
+def check(raw: Raw) -> list[str]:
+    """Sentences on what was found. Drops fixes that are none and such as lie before the IMU; raises InputError."""
+    notes: list[str] = []
+    _overlaps(raw)
+    if raw.gnss is not None:
+        _places(raw.gnss.lat, raw.place("gnss"))
+        notes += _no_fixes(raw)
+        notes += _before_imu(raw)
+        _sigmas(raw)
+    if raw.motion is not None:
+        _places(raw.motion[1], raw.place("reference"))
+    _sizes(raw)
+    notes += _gravity(raw)
+    notes += _gaps(raw)
+    if raw.motion is not None:
+        _reference_turns(raw)
+        notes += _reference_place(raw)
+    if raw.gnss is not None:
+        notes += _velocities(raw)
+        notes += agreement.check(raw)
+    return notes
+
+
+def parts_of(raw: Raw) -> dict[str, Any]:
+    """Every recorded table by the name of its part, the IMU first."""
+    named = {"imu": raw.imu, "gnss": raw.gnss, "mag": raw.mag, "baro": raw.baro, **raw.others}
+    return {name: samples for name, samples in named.items() if samples is not None}
+
+
+def _overlaps(raw: Raw) -> None:
+    assert raw.imu is not None
+    start, end = raw.t_start, float(raw.imu.t[-1])
+    times = {name: samples.t for name, samples in parts_of(raw).items() if name != "imu"}
+    if raw.motion is not None:
+        times["reference"] = raw.motion[0]
+    for name, t in times.items():
+        if len(t) and (t[-1] < start - 1e-9 or t[0] > end + 1e-9):
+            key = f"recording.{name} clock_s" if name != "reference" else "recording.imu clock_s"
+            raise InputError(
+                f"{raw.place(name)}: {t[0]:.6g} to {t[-1]:.6g} s does not overlap the IMU, {start:.6g} to {end:.6g} s;"
+                f" if the clocks differ, {key} says by how much"
+            )
+
+
+def _places(lat: Array, place: str) -> None:
+    if len(lat) and np.abs(lat).max() > 0.5 * np.pi:
+        k = int(np.argmax(np.abs(lat)))
+        raise InputError(f"{place}: latitude {np.degrees(lat[k]):.6g}° at sample {k} lies outside ±90°")
+
+
+def _no_fixes(raw: Raw) -> list[str]:
+    """Rows at latitude and longitude 0 among others that lie elsewhere: how receivers write that they have no fix."""
+    g = raw.gnss
+    assert g is not None
+    zero = (g.lat == 0.0) & (g.lon == 0.0)
+    if not zero.any() or zero.all():
+        return []
+    distant = np.hypot(g.lat[~zero], g.lon[~zero]).min() > np.radians(1.0)  # a degree is an hour by car from there
+    if not distant:
+        return []
+    raw.gnss = select(g, ~zero)
+    first = int(np.argmax(zero))
+    return [
+        f"{raw.place('gnss')}: sample {first} lies at latitude 0, longitude 0, which means no fix"
+        f" ({int(zero.sum())} such rows are left out)"
+    ]
+
+
+def _before_imu(raw: Raw) -> list[str]:
+    g = raw.gnss
+    assert g is not None
+    early = g.t < raw.t_start - 1e-9
+    if not early.any():
+        return []
+    raw.gnss = select(g, ~early)
+    return [
+        f"{raw.place('gnss')}: {int(early.sum())} fixes lie before the IMU's first sample, up to"
+        f" {raw.t_start - g.t[0]:.3g} s, and are left out"
+    ]
+
+
+def _sigmas(raw: Raw) -> None:
+    g = raw.gnss
+    assert g is not None
+    if g.std is None:
+        return
+    stated = g.std[:, :3] if raw.gnss_position_only else g.std
+    good = np.isfinite(stated) & (stated > 0.0)
+    if not good.all():
+        k, i = (int(v) for v in np.argwhere(~good)[0])
+        name = [
+            *(f"std_{a}_m" for a in ("north", "east", "down")),
+            *(f"std_v_{a}_mps" for a in ("north", "east", "down")),
+        ]
+        raise InputError(
+            f"{raw.place('gnss')}: {name[i]} is {stated[k, i]:g} at sample {k}, a standard deviation is above 0"
+            f" ({int((~good).any(axis=1).sum())} such rows); take the column out and give [recording.gnss] its figures"
+        )
+
+
+def _sizes(raw: Raw) -> None:
+    """Angular rates that no gyro measures, and specific force of a wrong unit."""
+    imu = raw.imu
+    assert imu is not None
+    fastest = float(np.quantile(np.abs(imu.gyro).max(axis=1), 0.99))
+    if fastest > FASTEST_GYRO:
+        raise InputError(
+            f"{raw.place('imu')}: one gyro sample in a hundred is above {fastest:.3g} rad/s; are the rates in °/s? Name their unit"
+        )
+    force = float(np.median(np.linalg.norm(imu.accel, axis=1)))
+    step = float(np.median(np.diff(imu.t)))
+    for unit, factor in FACTORS.items():
+        if 0.8 < force * factor / G0 < 1.25:
+            raise InputError(
+                f"{raw.place('imu')}: the specific force is {force:.4g} m/s² in the middle, which would be 1 g"
+                f" if its unit were {unit}; name it"
+            )
+    if 0.8 < force / step / G0 < 1.25:
+        raise InputError(
+            f"{raw.place('imu')}: the specific force is {force:.4g} m/s² in the middle, which times the rate is 1 g:"
+            " are these increments? Divide them by the sampling interval, or use the format kfgins"
+        )
+
+
+def _gravity(raw: Raw) -> list[str]:
+    imu = raw.imu
+    assert imu is not None
+    force = float(np.median(np.linalg.norm(imu.accel, axis=1)))
+    if raw.motion is not None:
+        t, *_, q_nb = raw.motion
+        rows = np.flatnonzero((t >= imu.t[0]) & (t <= imu.t[-1]))
+        rows = rows[:: max(1, len(rows) // MOST_ROWS)]
+        k = np.clip(np.searchsorted(imu.t, t[rows]), 0, len(imu.t) - 1)
+        down = np.einsum("ki,ki->k", quats_to_matrices(q_nb[rows])[:, 2], imu.accel[k])
+        if len(rows) and down.mean() > 0.5 * G0:
+            raise InputError(
+                f"{raw.place('imu')}: by the reference's attitude the specific force points down ({down.mean():+.3g} m/s²), at"
+                f" rest it is {-G0:.4g} m/s²: the accelerometer's sign or an axis is wrong, a leading minus in columns turns it"
+            )
+    if not 0.5 * G0 < force < 2.0 * G0:
+        return [
+            f"{raw.place('imu')}: the specific force is {force:.3g} m/s² in the middle of its values, gravity is 9.8"
+        ]
+    mean = imu.accel.mean(axis=0)
+    if raw.motion is None and mean[2] > 0.5 * G0:
+        return [
+            f"{raw.place('imu')}: the specific force is {mean[2]:+.3g} m/s² along z on average, so z points up (b is"
+            " forward-right-down); attitudes are those of the sensor as it lies, [recording.imu] mounting_deg turns it"
+        ]
+    return []
+
+
+def _gaps(raw: Raw) -> list[str]:
+    notes = []
+    for name, samples in parts_of(raw).items():
+        if (found := gaps_of(samples.t)) and not (name == "gnss" and samples.outages):
+            longest = max(found, key=lambda gap: gap[1] - gap[0])
+            count = f"{len(found)} gaps, the longest" if len(found) > 1 else "a gap"
+            notes.append(
+                f"{raw.place(name)}: {count} from {longest[0]:.6g} to {longest[1]:.6g} s ({longest[1] - longest[0]:.3g} s)"
+                + (", which no filter can bridge well; the rest is scored" if name == "imu" else "")
+            )
+    return notes
+
+
+def _reference_turns(raw: Raw) -> None:
+    """Gyro turns against those of the reference's attitude: their ratio is 1, or 57 where a unit is wrong."""
+    assert raw.imu is not None and raw.motion is not None
+    from testbed.formats.kinematics import conjugate, multiply, to_rotvec
+
+    t, q = raw.motion[0], raw.motion[5]
+    inside = (t >= raw.imu.t[0]) & (t <= raw.imu.t[-1])
+    t, q = t[inside], q[inside]
+    step = max(1, len(t) // MOST_ROWS)
+    t, q = t[::step], q[::step]
+    if len(t) < 30:
+        return
+    turn = np.linalg.norm(to_rotvec(multiply(conjugate(q[:-1]), q[1:])), axis=1)
+    swept = np.linalg.norm(_integral(raw.imu.t, raw.imu.gyro, t), axis=1)
+    ratio, similar = _slope(turn, swept)
+    if similar > 0.7 and np.median(turn / np.diff(t)) > np.radians(0.5) and not 0.2 < ratio < 5.0:
+        unit = "°/s named rad/s" if ratio > 5.0 else "rad/s named °/s"
+        raise InputError(
+            f"{raw.place('imu')}: the gyros turn {ratio:.3g} times as fast as the reference's attitude: are the rates {unit}?"
+        )
+
+
+def _integral(t: Array, values: Array, at: Array) -> Array:
+    """Integrals of interval means (N,3) at ``t`` between the times ``at``."""
+    total = np.vstack([np.zeros(3), np.cumsum(values[1:] * np.diff(t)[:, None], axis=0)])
+    return np.diff(np.column_stack([np.interp(at, t, total[:, i]) for i in range(3)]), axis=0)
+
+
+def _slope(x: Array, y: Array) -> tuple[float, float]:
+    """Slope of y over x through the origin, and the cosine between them."""
+    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
+    return (xy / xx, xy / np.sqrt(xx * yy)) if xx > 0.0 and yy > 0.0 else (0.0, 0.0)
+
+
+def _reference_place(raw: Raw) -> list[str]:
+    if raw.gnss is None or raw.motion is None:
+        return []
+    g, (t, lat, lon, h, *_) = raw.gnss, raw.motion
+    inside = (g.t >= t[0]) & (g.t <= t[-1])
+    if not inside.any():
+        return []
+    at = g.t[inside]
+    true = [np.interp(at, t, x) for x in (lat, np.unwrap(lon), h)]
+    ned = np.column_stack(earth.position_difference(g.lat[inside], g.lon[inside], g.h[inside], *true))
+    off, high = float(np.median(np.hypot(ned[:, 0], ned[:, 1]))), float(np.median(np.abs(ned[:, 2])))
+    told = f"{raw.place('reference')}: lies {off:.4g} m beside and {high:.4g} m above or below the fixes (medians)"
+    if off > FAR_REFERENCE_M:
+        raise InputError(f"{told}: these are not of one vehicle, or their clocks differ")
+    sigma = float(np.median(g.measurement_std()[:, :3]))
+    return [told] if max(off, high) > max(OFF_REFERENCE_M, 10.0 * sigma) else []
+
+
+def _velocities(raw: Raw) -> list[str]:
+    """Velocities against the differences of the positions: the unit along the ground, the sign of the vertical one."""
+    g = raw.gnss
+    assert g is not None
+    if len(g.t) < 10 or raw.gnss_position_only:
+        return []
+    count = max(1, min(round(DISTANCE_S / float(np.median(np.diff(g.t)))), len(g.t) // 10))
+    rows = np.arange(0, len(g.t), count)
+    ned = np.diff(first_motion.offsets(g)[rows], axis=0)
+    way = np.vstack([np.zeros(3), np.cumsum(0.5 * (g.v_n[1:] + g.v_n[:-1]) * np.diff(g.t)[:, None], axis=0)])
+    moved, shown = ned, np.diff(way[rows], axis=0)
+    notes = []
+    ratio, similar = _slope(shown[:, :2].ravel(), moved[:, :2].ravel())
+    if np.median(np.linalg.norm(g.v_n[:, :2], axis=1)) > 1.0 and (similar < 0.5 or not 0.8 < ratio < 1.25):
+        notes.append(
+            f"{raw.place('gnss')}: the positions move {ratio:.3g} times as far as the velocities say (similarity {similar:.2f}):"
+            " units, or north and east exchanged?"
+        )
+    ratio, similar = _slope(shown[:, 2], moved[:, 2])
+    if similar < -0.5:
+        notes.append(f"{raw.place('gnss')}: the height falls when v_down is negative: is it the velocity upwards?")
+    return notes
+
+
+def select(samples: GnssFixes, keep: NDArray[np.bool_]) -> GnssFixes:
+    """Some rows of some samples."""
+    changes: dict[str, Any] = {
+        name: values[keep] for name, values in vars(samples).items() if isinstance(values, np.ndarray)
+    }
+    return replace(samples, **changes)

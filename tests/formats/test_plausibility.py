@@ -1,0 +1,209 @@
+"""What a recording shows that cannot be: each kind is refused, or told in a sentence that names file and place."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import formats_flight
+import numpy as np
+import pandas as pd
+import pytest
+
+from testbed.base.errors import InputError
+from testbed.data.records import SensorLog, Trajectory
+from testbed.formats import export_log, import_log
+from testbed.formats.recording import Recording
+
+IMU = {
+    "gyro_turn_on_bias_dps": 0.05,
+    "gyro_arw_dpsqrth": 0.6,
+    "accel_turn_on_bias_mg": 3.0,
+    "accel_vrw_mpspsqrth": 0.06,
+}
+GNSS = {"horizontal_sigma_m": 1.5, "vertical_sigma_m": 2.5, "velocity_sigma_mps": 0.05, "lever_arm_m": [0.3, 0.0, -0.1]}
+
+
+@pytest.fixture(scope="module")
+def trajectory() -> Trajectory:
+    """A climbing turn of 90 s."""
+    return formats_flight.make_trajectory(90.0, turn=0.12)
+
+
+@pytest.fixture(scope="module")
+def log(trajectory: Trajectory) -> SensorLog:
+    return formats_flight.make_log(trajectory)
+
+
+def tables(log: SensorLog, trajectory: Trajectory | None, folder: Path) -> Path:
+    """The log as a practitioner has it: tables without log.json, fixes without sigmas."""
+    export_log(log, folder, "csv", reference=trajectory)
+    (folder / "log.json").unlink()
+    change(folder, "gnss", lambda f: f.drop(columns=[c for c in f if c.startswith("std_")]))
+    return folder
+
+
+def change(folder: Path, part: str, edit) -> None:
+    path = folder / f"{part}.csv"
+    edit(pd.read_csv(path)).to_csv(path, index=False)
+
+
+def scaled(prefix: str, factor: float):
+    return lambda f: f.assign(**{c: f[c] * factor for c in f if c.startswith(prefix)})
+
+
+def read(folder: Path, **options) -> Recording:
+    return import_log("table", folder, **({"imu": IMU, "gnss": GNSS} | options))
+
+
+REFUSED = {
+    "accelerometer in g": ("imu", scaled("accel_", 1 / 9.80665), ["imu.csv", "1 g", "unit were g"]),
+    "accelerometer in mg": ("imu", scaled("accel_", 1e3 / 9.80665), ["imu.csv", "unit were mg"]),
+    "velocity increments": ("imu", scaled("accel_", 0.01), ["imu.csv", "increments"]),
+    "gyro in deg/s": ("imu", scaled("gyro_", 180 / np.pi), ["imu.csv", "°/s named rad/s"]),
+    "gyro in rad/s named deg/s": ("imu", scaled("gyro_", np.pi / 180), ["imu.csv", "rad/s named °/s"]),
+    "accelerometer's sign": ("imu", scaled("accel_", -1.0), ["imu.csv", "sign"]),
+    "another clock": (
+        "gnss",
+        lambda f: f.assign(time_s=f["time_s"] + 1e6),
+        ["gnss.csv", "does not overlap", "clock_s"],
+    ),
+    "magnetometer's clock": ("mag", lambda f: f.assign(time_s=f["time_s"] - 1e6), ["mag.csv", "does not overlap"]),
+    "reference of another day": (
+        "reference",
+        lambda f: f.assign(time_s=f["time_s"] + 1e5),
+        ["reference.csv", "does not overlap"],
+    ),
+    "reference elsewhere": ("reference", lambda f: f.assign(lat_deg=f["lat_deg"] + 0.5), ["reference.csv", "beside"]),
+    "latitude beyond 90": ("gnss", lambda f: f.assign(lat_deg=f["lat_deg"] + 50.0), ["gnss.csv", "±90°"]),
+    "sigma of zero": ("gnss", lambda f: f.assign(**sigmas(0.0)), ["gnss.csv", "std_north_m is 0 at sample 0"]),
+    "negative sigma": ("gnss", lambda f: f.assign(**sigmas(-1.0)), ["gnss.csv", "std_north_m is -1 at sample 0"]),
+    "repeated stamp": ("imu", lambda f: pd.concat([f[:50], f[49:]]), ["imu.csv", "sample 50", "increase"]),
+}
+
+
+def sigmas(value: float) -> dict[str, float]:
+    ned = ("north", "east", "down")
+    return {f"std_{a}_m": value for a in ned} | {f"std_v_{a}_mps": value for a in ned}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_no_filter_could_use_is_refused(kind: str, log: SensorLog, trajectory: Trajectory, tmp_path: Path) -> None:
+    part, edit, words = REFUSED[kind]
+    change(tables(log, trajectory, tmp_path), part, edit)
+    own = {} if "sigma" in kind else {"gnss": GNSS}
+    with pytest.raises(InputError) as caught:
+        import_log("table", tmp_path, imu=IMU, **own)
+    assert caught.value.exit_code == 2
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["gyro in deg/s", "gyro in rad/s named deg/s", "accelerometer's sign"])
+def test_turns_of_the_fixes_show_it_without_a_reference(kind: str, log: SensorLog, tmp_path: Path) -> None:
+    part, edit, words = REFUSED[kind]
+    change(tables(log, None, tmp_path), part, edit)
+    with pytest.raises(InputError) as caught:
+        read(tmp_path)
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_a_sound_recording_raises_no_word(log: SensorLog, trajectory: Trajectory, tmp_path: Path) -> None:
+    tables(log, trajectory, tmp_path)
+    for part in ("mag", "baro"):
+        (tmp_path / f"{part}.csv").unlink()
+    assert read(tmp_path).notes == ()
+
+
+def test_rows_without_a_fix_are_left_out(log: SensorLog, trajectory: Trajectory, tmp_path: Path) -> None:
+    """Rows of zeros at the start and inside: the log is that without them."""
+    tables(log, trajectory, tmp_path)
+    sound = read(tmp_path).log
+    change(tmp_path, "gnss", lambda f: pd.concat([zero(f, 0.05), f[:50], zero(f, 10.05), f[50:]]))
+    recording = read(tmp_path)
+    assert np.array_equal(recording.log.gnss.t, sound.gnss.t)
+    assert np.array_equal(recording.log.initial.q_nb, sound.initial.q_nb)
+    assert any(
+        "gnss.csv: sample 0 lies at latitude 0, longitude 0" in note and "2 such" in note for note in recording.notes
+    )
+
+
+def zero(frame: pd.DataFrame, t: float) -> pd.DataFrame:
+    return (frame[:1] * 0.0).assign(time_s=t)
+
+
+def test_fixes_before_the_imu_change_nothing(log: SensorLog, trajectory: Trajectory, tmp_path: Path) -> None:
+    """A receiver that was on 20 s before the IMU: the start is that of the fixes which the IMU covers."""
+    tables(log, trajectory, tmp_path)
+    change(tmp_path, "imu", lambda f: f[2000:])
+    change(tmp_path, "gnss", lambda f: f[f["time_s"] > 19.995])
+    expected = read(tmp_path)
+    tables(log, trajectory, tmp_path)
+    change(tmp_path, "imu", lambda f: f[2000:])
+    recording = read(tmp_path)
+    assert recording.log.initial.t == expected.log.initial.t
+    assert np.array_equal(recording.log.initial.std, expected.log.initial.std)
+    assert np.array_equal(recording.log.initial.q_nb, expected.log.initial.q_nb)
+    assert np.array_equal(recording.log.gnss.t, expected.log.gnss.t)
+    assert any("99 fixes lie before the IMU's first sample" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("delay", [0.3, -0.125])
+def test_a_delay_between_the_clocks_is_told(delay: float, log: SensorLog, tmp_path: Path) -> None:
+    """Within 0.02 s: half a step of the fixes would be 0.1 s, their noise of 0.05 m/s in 30 m/s over 400 fixes far less."""
+    swinging = formats_flight.swinging_turns(log)
+    tables(swinging, None, tmp_path)
+    assert not any("before" in n or "after" in n for n in read(tmp_path).notes)
+    change(tmp_path, "gnss", lambda f: f.assign(time_s=f["time_s"] + delay))
+    (told,) = [note for note in read(tmp_path).notes if "clock_s" in note]
+    assert ("after" if delay > 0 else "before") in told
+    assert float(told.split("clock_s = ")[1].split()[0]) == pytest.approx(-delay, abs=0.02)
+    mended = read(tmp_path, gnss=GNSS | {"clock_s": -delay})
+    assert not any("clock_s" in note for note in mended.notes)
+
+
+def test_gaps_are_named_once(log: SensorLog, trajectory: Trajectory, tmp_path: Path) -> None:
+    tables(log, trajectory, tmp_path)
+    change(tmp_path, "imu", lambda f: f[(f["time_s"] < 30.0) | (f["time_s"] > 32.0)])
+    (told,) = [note for note in read(tmp_path).notes if "gap" in note]
+    assert "imu.csv: a gap from 29.99 to 32.01 s" in told
+
+
+def test_a_gap_of_the_imu_is_not_the_filters_fault() -> None:
+    """A solution at the IMU's times is silent in the gap for everybody; one that is silent elsewhere is still refused."""
+    from testbed.data.records import NavSolution
+    from testbed.scoring.metrics import coverage
+
+    def solution(t: np.ndarray) -> NavSolution:
+        n = len(t)
+        return NavSolution(t, np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 3)), np.tile([1.0, 0, 0, 0], (n, 1)))
+
+    t = np.arange(0.0, 70.0, 0.01)
+    with_gap = t[(t < 30.0) | (t > 35.0)]
+    assert coverage(solution(with_gap), 0.0, 70.0, [(29.99, 35.01)]) == ""
+    assert "says nothing between 29.99 and 35.01" in coverage(solution(with_gap), 0.0, 70.0)
+    silent = with_gap[(with_gap < 50.0) | (with_gap > 55.0)]
+    assert "says nothing between 49.99 and 55.01" in coverage(solution(silent), 0.0, 70.0, [(29.99, 35.01)])
+
+
+def test_velocities_in_another_unit_or_upwards_are_told(log: SensorLog, trajectory: Trajectory, tmp_path: Path) -> None:
+    tables(log, trajectory, tmp_path)
+    change(tmp_path, "gnss", lambda f: f.assign(v_north_mps=f["v_north_mps"] * 3.6, v_east_mps=f["v_east_mps"] * 3.6))
+    (told,) = [note for note in read(tmp_path).notes if "times as far as the velocities" in note]
+    assert float(told.split("move ")[1].split()[0]) == pytest.approx(1.0 / 3.6, rel=0.02)
+    tables(log, trajectory, tmp_path)
+    change(tmp_path, "gnss", lambda f: f.assign(v_down_mps=-f["v_down_mps"]))
+    assert any("is it the velocity upwards" in note for note in read(tmp_path).notes)
+
+
+def test_findings_stand_in_manifest_and_report(log: SensorLog, trajectory: Trajectory, tmp_path: Path) -> None:
+    from testbed.base.notes import notes_of
+    from testbed.scenario import load_scenario
+
+    tables(log, trajectory, tmp_path / "data")
+    change(tmp_path / "data", "imu", lambda f: f[(f["time_s"] < 30.0) | (f["time_s"] > 32.0)])
+    scenario = {"scenario": 'name = "own"', "recording": 'format = "table"\ndir = "data"'}
+    scenario |= {"recording.imu": "\n".join(f"{k} = {v}" for k, v in IMU.items())}
+    scenario |= {"recording.gnss": "\n".join(f"{k} = {json.dumps(v)}" for k, v in GNSS.items())}
+    text = "\n".join(f"[{k}]\n{v}" for k, v in scenario.items()) + '\n[[estimators]]\nname = "ins"\n'
+    (tmp_path / "own.toml").write_text(text)
+    assert any("a gap from 29.99" in note for note in notes_of(load_scenario(tmp_path / "own.toml")))
