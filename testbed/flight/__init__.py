@@ -49,10 +49,11 @@ def _fly(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> T
     from testbed.physics.earth import G0
 
     flown = fly_script(config, aircraft, folder, seed)
-    if len(flown.state) < FEWEST_SAMPLES:
-        raise FlightError(f"a flight of {len(flown.state)} samples is too short")
-    t = np.arange(len(flown.state)) / config.rate_hz
+    rows = len(flown.v_n)
+    if rows < FEWEST_SAMPLES:
+        raise FlightError(f"a flight of {rows} samples is too short")
+    t = np.arange(rows) / config.rate_hz
     extra = {name: np.interp(t, flown.air_t, flown.air[:, i]) for i, (name, _) in enumerate(AIR)}
-    truth = make_trajectory(flown.state[:, :3], flown.state[:, 3:], config.rate_hz, flown.start)
+    truth = make_trajectory(flown.v_n, flown.q_nb, config.rate_hz, flown.start, extra, flown.phases, config.aircraft)
     extra["load_factor"] = -truth.f_b[:, 2] / G0
-    return type(truth)(**(vars(truth) | {"extra": extra, "phases": flown.phases, "name": config.aircraft}))
+    return truth
