@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from testbed.flight.config import FlightConfig
     from testbed.flight.drive import DriveConfig
+    from testbed.flight.own import TrajectoryConfig
 
 
 @contextmanager
@@ -46,7 +47,7 @@ def flight_varies(scenario: Scenario) -> bool:
     )
 
 
-def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig | DriveConfig, int]:
+def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig | DriveConfig | TrajectoryConfig, int]:
     """The flight that run ``run`` flies, and its turbulence seed."""
     if scenario.flight is None:
         raise InputError(f"{scenario.source_path}: the scenario is a recording; there is nothing to fly")

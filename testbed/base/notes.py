@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from testbed.base.resources import scenario_root
 from testbed.data.registry import make_estimator
+from testbed.flight.own import TrajectoryConfig
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -28,9 +29,14 @@ def _of_flight(scenario: Scenario) -> list[str]:
     settings = scenario.monte_carlo
     own = Path(scenario.source_path).parent != scenario_root().resolve()
     own = own or any(key.startswith("monte_carlo.disperse") for key in scenario.settings)
+    notes = []
     if settings.disperse and "manoeuvres" not in settings.vary and own:
-        return ["monte_carlo.disperse has no effect: monte_carlo.vary does not name 'manoeuvres'"]
-    return []
+        notes += ["monte_carlo.disperse has no effect: monte_carlo.vary does not name 'manoeuvres'"]
+    if isinstance(scenario.flight, TrajectoryConfig):
+        from testbed.flight.track import notes_of_track
+
+        notes += notes_of_track(scenario.flight)
+    return notes
 
 
 def _of_recording(scenario: Scenario) -> list[str]:

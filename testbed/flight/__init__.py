@@ -1,4 +1,4 @@
-"""Flying: JSBSim flies a scripted manoeuvre; the recorded state becomes an exact truth (`Trajectory`).
+"""The makers of truth: JSBSim flies a script, a car drives one, or a file says how a vehicle moved.
 
 `fly_flight` is the one call; flights are cached by the hash of all that determines them. SI units and radians.
 """
@@ -11,19 +11,26 @@ from testbed.data.records import Trajectory
 from testbed.flight.aircraft import Aircraft, list_aircraft, load_aircraft
 from testbed.flight.config import FlightConfig
 from testbed.flight.drive import DriveConfig, drive
+from testbed.flight.own import TrajectoryConfig
 
-__all__ = ["DriveConfig", "FlightConfig", "fly_flight", "list_aircraft"]
+__all__ = ["DriveConfig", "FlightConfig", "TrajectoryConfig", "fly_flight", "list_aircraft"]
 
 
-def fly_flight(config: FlightConfig | DriveConfig, seed: int = 0, use_cache: bool = True) -> Trajectory:
+def fly_flight(
+    config: FlightConfig | DriveConfig | TrajectoryConfig, seed: int = 0, use_cache: bool = True
+) -> Trajectory:
     """Fly ``config`` and return the truth at ``config.rate_hz``. ``seed`` seeds the turbulence unless the wind has its own.
-    A drive is made anew each time, which takes less than reading it would.
+    A drive and a file's trajectory are made anew each time, which takes less than reading them would.
 
     Raises FlightError, which names the manoeuvre and the time, when the aircraft cannot fly the script, and InputError
     for an unknown aircraft.
     """
     if isinstance(config, DriveConfig):
         return drive(config)
+    if isinstance(config, TrajectoryConfig):
+        from testbed.flight.track import fly_track
+
+        return fly_track(config)
     from testbed.flight import cache
     from testbed.flight.trial import try_aircraft
 
