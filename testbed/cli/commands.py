@@ -132,7 +132,7 @@ def _stored_runs(folder: Path) -> int:
 
 def _announce_compilation() -> None:
     """The first run of an installation compiles the kernels; without a word that looks like a hang."""
-    compiled = any(Path(os.environ["NUMBA_CACHE_DIR"]).glob("testbed_*/*.nbi"))
+    compiled = any(Path(os.environ["NUMBA_CACHE_DIR"]).glob("*/*.nbi"))
     if not compiled:
         tell_user("first use: compiling the kernels takes a minute or two")
 
