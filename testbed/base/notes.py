@@ -43,7 +43,12 @@ def _of_recording(scenario: Scenario) -> list[str]:
     from testbed.formats import load_recording
 
     assert scenario.recording is not None
-    notes = list(load_recording(scenario.recording, scenario.folder).notes)
+    recording = load_recording(scenario.recording, scenario.folder)
+    if scenario.sensors is not None:
+        return [
+            f"the recording's own sensors ({', '.join(['imu', *recording.log.aiding])}) are not used: [sensors] sense its reference anew"
+        ]
+    notes = list(recording.notes)
     idle = [f"monte_carlo.{key}" for key in ("vary", "disperse") if key in scenario.monte_carlo.model_fields_set]
     idle += [f"initial.{key}" for key in sorted(scenario.initial.model_fields_set)]
     return notes + [f"{key} has no effect on a recording" for key in idle]
@@ -51,7 +56,7 @@ def _of_recording(scenario: Scenario) -> list[str]:
 
 def _recorded(scenario: Scenario) -> list[str]:
     """The aiding sensors that the run's log has."""
-    if scenario.recording is None:
+    if scenario.recording is None or scenario.sensors is not None:
         from testbed.sensors.registry import SENSORS
 
         return [kind for kind in SENSORS if getattr(scenario.sensors, kind, None) is not None]

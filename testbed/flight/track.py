@@ -7,6 +7,7 @@ looks along its track. At the rows of the truth these become what a flight's sam
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from testbed.base.errors import InputError
 from testbed.data.records import Trajectory
 from testbed.flight.own import TrajectoryConfig
-from testbed.flight.track_files import Track, read_track
+from testbed.flight.track_files import Track, checked, read_track
 from testbed.physics import earth
 from testbed.physics.ecef import directions, to_ecef, to_geodetic
 from testbed.physics.rotations import eulers_to_quats, quats_to_matrices
@@ -33,9 +34,28 @@ SLOW_MPS = 0.5
 
 def fly_track(config: TrajectoryConfig) -> Trajectory:
     """The truth of a file. Raises InputError that names the row which no vehicle can have moved through."""
+    return _splined(read_track(config), config, Path(config.trajectory).stem)
+
+
+def sensed_anew(reference: Trajectory, imu_rate_hz: float | None) -> Trajectory:
+    """A recording's reference as the truth that sensors are simulated on, at its own rate, on its own clock.
+
+    Where the IMU is given a rate, at the smallest multiple of it that the reference's rate does not exceed. Raises
+    InputError as `fly_track` does.
+    """
+    own = min(1000.0, max(10.0, float(round(1.0 / np.median(np.diff(reference.t))))))
+    rate = own if imu_rate_hz is None else imu_rate_hz * max(1, int(np.ceil(own / imu_rate_hz - 1e-9)))
+    place = np.column_stack([reference.lat, reference.lon, reference.h])
+    source = f"the reference {reference.name}".strip()
+    track = checked(Track(reference.t - reference.t[0], place, reference.q_nb, False, source, recorded=True))
+    config = TrajectoryConfig(trajectory=source, rate_hz=rate, attitude="file")
+    truth = _splined(track, config, reference.name)
+    return replace(truth, t=truth.t + reference.t[0])
+
+
+def _splined(track: Track, config: TrajectoryConfig, name: str) -> Trajectory:
     from testbed.flight.truth import make_trajectory
 
-    track = read_track(config)
     _check_gaps(track, config)
     ecef = _in_e(track, config)
     count = int(np.floor(track.t[-1] * config.rate_hz + 1e-6)) + 1
@@ -56,7 +76,7 @@ def fly_track(config: TrajectoryConfig) -> Trajectory:
         force = _specific_force(lat, h, to_n, v_e, a_e)
         q_nb = _along_track(t, v_n, force if config.attitude == "coordinated" else None)
     start = float(lat[0]), float(lon[0]), float(h[0])
-    truth = make_trajectory(v_n, q_nb, config.rate_hz, start, name=Path(config.trajectory).stem)
+    truth = make_trajectory(v_n, q_nb, config.rate_hz, start, name=name)
     _check_rates(track, truth, config)
     return truth
 
@@ -92,8 +112,8 @@ def _check_gaps(track: Track, config: TrajectoryConfig) -> None:
     if steps.max() > longest * (1.0 + 1e-9):
         k = int(np.argmax(steps > longest * (1.0 + 1e-9)))
         raise InputError(
-            f"{track.source}: a gap of {steps[k]:.4g} s after {track.row(k)}; at most {longest:.4g} s are bridged "
-            "(the key max_gap_s)"
+            f"{track.source}: a gap of {steps[k]:.4g} s after {track.row(k)}; at most {longest:.4g} s are bridged"
+            f"{track.key('max_gap_s')}"
         )
 
 
@@ -123,7 +143,7 @@ def _check_motion(track: Track, t: Array, v_e: Array, a_e: Array, config: Trajec
     speed, size = np.linalg.norm(v_e, axis=1), np.linalg.norm(a_e, axis=1)
     for values, limit, what, key in (
         (speed, FASTEST_MPS, "{:.4g} m/s", ""),
-        (size, config.max_acceleration_mps2, "an acceleration of {:.4g} m/s²", " (the key max_acceleration_mps2)"),
+        (size, config.max_acceleration_mps2, "an acceleration of {:.4g} m/s²", track.key("max_acceleration_mps2")),
     ):
         if values.max() > limit:
             k = int(np.argmax(values))
@@ -150,7 +170,7 @@ def _check_rates(track: Track, truth: Trajectory, config: TrajectoryConfig) -> N
         )
         raise InputError(
             f"{track.source}: near {track.row(row)} the attitude turns at {rate[k]:.4g} °/s, and at most "
-            f"{config.max_rate_dps:g} is taken for motion (the key max_rate_dps){why}"
+            f"{config.max_rate_dps:g} is taken for motion{track.key('max_rate_dps')}{why}"
         )
 
 

@@ -11,7 +11,7 @@ Times are counted from the first row. Every refusal names the row, counted from 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -59,6 +59,12 @@ class Track:
     source: str
     first_line: int | None = None
     notes: tuple[str, ...] = ()
+    recorded: bool = False
+    """A recording's reference, for which ``[flight]`` has no keys."""
+
+    def key(self, name: str) -> str:
+        """The hint at a key that would allow what is refused."""
+        return "" if self.recorded else f" (the key {name})"
 
     def row(self, k: int) -> str:
         """Name of row ``k`` in a message."""
@@ -78,14 +84,14 @@ def read_track(config: TrajectoryConfig) -> Track:
     for key, used in (("columns", readers[path.suffix.lower()] is _table), ("row_rate_hz", _may_lack_times(path))):
         if getattr(config, key) and not used:
             raise InputError(f"{path}: the key '{key}' is for tables, not for {path.suffix} files")
-    return _checked(track)
+    return checked(track)
 
 
 def _may_lack_times(path: Path) -> bool:
     return path.suffix.lower() in (".csv", ".txt", ".parquet")
 
 
-def _checked(track: Track) -> Track:
+def checked(track: Track) -> Track:
     """Finite numbers, increasing times, latitudes on the Earth, unit quaternions."""
     columns = [track.t[:, None], track.place] + ([track.q_nb] if track.q_nb is not None else [])
     finite = np.isfinite(np.hstack(columns)).all(axis=1)
@@ -115,7 +121,7 @@ def _checked(track: Track) -> Track:
     q = track.q_nb / length[:, None]
     turned = np.cumprod(np.where(np.einsum("ki,ki->k", q[1:], q[:-1]) < 0.0, -1.0, 1.0))
     q[1:] *= turned[:, None]
-    return Track(track.t, track.place, q, track.local, track.source, track.first_line, track.notes)
+    return replace(track, q_nb=q)
 
 
 def _table(path: Path, config: TrajectoryConfig) -> Track:

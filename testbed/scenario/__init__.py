@@ -36,7 +36,7 @@ from testbed.flight.own import TrajectoryConfig
 from testbed.formats.config import RecordingConfig
 from testbed.scoring.claims import ClaimConfig, ReadingConfig
 from testbed.sensors.config import InitialConfig
-from testbed.sensors.registry import SensorsConfig
+from testbed.sensors.registry import SENSORS, SensorsConfig
 
 if TYPE_CHECKING:
     import numpy as np
@@ -193,7 +193,8 @@ Motion = Annotated[
 
 
 class Scenario(Table):
-    """A checked scenario. Exactly one of ``flight`` and ``recording`` is set."""
+    """A checked scenario. Exactly one of ``flight`` and ``recording`` is set; a recording with ``sensors`` lends its reference
+    as truth, and its own sensors are left aside."""
 
     scenario: Header
     flight: Motion | None = None
@@ -222,15 +223,17 @@ class Scenario(Table):
         if self.flight is not None and self.sensors is None:
             raise ValueError("a scenario with [flight] needs [sensors.imu]")
         if self.recording is not None and self.sensors is not None:
-            raise ValueError(
-                "[sensors] has no meaning beside [recording], whose sensors are the recorded ones; their figures go into [recording.imu] and so on"
-            )
-        if isinstance(self.flight, TrajectoryConfig):
+            for kind in self.recording.model_fields_set & {"imu", *SENSORS, "initial"}:
+                raise ValueError(
+                    f"[recording.{kind}] has no meaning beside [sensors], which sense the recording's reference anew; "
+                    f"figures go into [sensors.{kind}]"
+                    if kind != "initial"
+                    else "[recording.initial] has no meaning beside [sensors], which sense the reference anew; use [initial]"
+                )
+        if isinstance(self.flight, TrajectoryConfig) or self.recording is not None:
             for what in ("turbulence", "manoeuvres"):
                 if what in self.monte_carlo.vary:
-                    raise ValueError(
-                        f"monte_carlo.vary has '{what}', but a trajectory from a file is the same in every run"
-                    )
+                    raise ValueError(f"monte_carlo.vary has '{what}', but recorded motion is the same in every run")
         rows = [entry.row for entry in self.estimators]
         for row in rows:
             if rows.count(row) > 1:
@@ -378,7 +381,7 @@ def load_scenario(
     for key, value in (overrides or {}).items():
         set_key(data, key, value, str(path))
     _inline_parameter_files(data, path)
-    if "recording" in data and "flight" not in data:
+    if "recording" in data and "flight" not in data and "sensors" not in data:
         data = merge({"monte_carlo": {"runs": 1}}, data)  # every run of a recording is the same
     scenario = validate(Scenario, data, str(path), path.resolve().parent)
     scenario._source, scenario._variant, scenario._profile = str(path.resolve()), variant, profile

@@ -325,7 +325,7 @@ def test_a_scenario_on_a_file(tmp_path):
     for wrong, message in (
         ({"flight.trajektory": "x"}, "'flight.trajektory' is not a known key"),
         ({"flight.rate_hz": 5.0}, "'flight.rate_hz': input should be greater than or equal to 10"),
-        ({"monte_carlo.vary": ["turbulence"]}, "the same in every run"),
+        ({"monte_carlo.vary": ["turbulence"]}, "recorded motion is the same in every run"),
     ):
         with pytest.raises(InputError, match=message):
             load_scenario(tmp_path / "own.toml", overrides=wrong)
