@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from testbed.flight.config import FlightConfig
     from testbed.flight.drive import DriveConfig
+    from testbed.flight.own import TrajectoryConfig
 
 
 @contextmanager
@@ -46,7 +47,7 @@ def flight_varies(scenario: Scenario) -> bool:
     )
 
 
-def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig | DriveConfig, int]:
+def flight_of_run(scenario: Scenario, run: int) -> tuple[FlightConfig | DriveConfig | TrajectoryConfig, int]:
     """The flight that run ``run`` flies, and its turbulence seed."""
     if scenario.flight is None:
         raise InputError(f"{scenario.source_path}: the scenario is a recording; there is nothing to fly")
@@ -84,7 +85,7 @@ def _dispersed(data: dict[str, Any], pattern: str, needs_value: bool, where: str
 
 
 def fly(scenario: Scenario, run: int = 0) -> Trajectory:
-    """The truth of a run: the JSBSim flight (cached), or the reference of a recording.
+    """The truth of a run: the JSBSim flight (cached), the trajectory of a file, or the reference of a recording.
 
     Raises FlightError when the aircraft cannot fly the script, InputError when a recording has no reference.
     """
@@ -96,7 +97,12 @@ def fly(scenario: Scenario, run: int = 0) -> Trajectory:
             raise InputError(
                 f"{scenario.source_path}: this recording has no reference trajectory, so nothing can be scored"
             )
-        return reference
+        if scenario.sensors is None:
+            return reference
+        from testbed.flight.track import sensed_anew
+
+        with _named(scenario, "recording"):
+            return sensed_anew(reference, scenario.sensors.imu.rate_hz)
     from testbed.flight import fly_flight
 
     with _named(scenario, "flight"):
@@ -109,9 +115,9 @@ def sense(
 ) -> tuple[SensorLog, SensorErrors | None]:
     """What the sensors record on a trajectory in Monte Carlo run ``run``; ``seed`` defaults to the scenario's.
 
-    For a recording: the recording and None.
+    For a recording without ``[sensors]``: the recording and None.
     """
-    if scenario.recording is not None:
+    if scenario.recording is not None and scenario.sensors is None:
         from testbed.formats import load_recording
 
         return load_recording(scenario.recording, scenario.folder).log, None

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from testbed.base.resources import scenario_root
 from testbed.data.registry import make_estimator
+from testbed.flight.own import TrajectoryConfig
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -28,16 +29,26 @@ def _of_flight(scenario: Scenario) -> list[str]:
     settings = scenario.monte_carlo
     own = Path(scenario.source_path).parent != scenario_root().resolve()
     own = own or any(key.startswith("monte_carlo.disperse") for key in scenario.settings)
+    notes = []
     if settings.disperse and "manoeuvres" not in settings.vary and own:
-        return ["monte_carlo.disperse has no effect: monte_carlo.vary does not name 'manoeuvres'"]
-    return []
+        notes += ["monte_carlo.disperse has no effect: monte_carlo.vary does not name 'manoeuvres'"]
+    if isinstance(scenario.flight, TrajectoryConfig):
+        from testbed.flight.track import notes_of_track
+
+        notes += notes_of_track(scenario.flight)
+    return notes
 
 
 def _of_recording(scenario: Scenario) -> list[str]:
     from testbed.formats import load_recording
 
     assert scenario.recording is not None
-    notes = list(load_recording(scenario.recording, scenario.folder).notes)
+    recording = load_recording(scenario.recording, scenario.folder)
+    if scenario.sensors is not None:
+        return [
+            f"the recording's own sensors ({', '.join(['imu', *recording.log.aiding])}) are not used: [sensors] sense its reference anew"
+        ]
+    notes = list(recording.notes)
     idle = [f"monte_carlo.{key}" for key in ("vary", "disperse") if key in scenario.monte_carlo.model_fields_set]
     idle += [f"initial.{key}" for key in sorted(scenario.initial.model_fields_set)]
     return notes + [f"{key} has no effect on a recording" for key in idle]
@@ -45,7 +56,7 @@ def _of_recording(scenario: Scenario) -> list[str]:
 
 def _recorded(scenario: Scenario) -> list[str]:
     """The aiding sensors that the run's log has."""
-    if scenario.recording is None:
+    if scenario.recording is None or scenario.sensors is not None:
         from testbed.sensors.registry import SENSORS
 
         return [kind for kind in SENSORS if getattr(scenario.sensors, kind, None) is not None]

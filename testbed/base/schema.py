@@ -40,6 +40,9 @@ Name = Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(_printable)
 JSBSIM = "jsbsim"
 """Tag of a union's member that is taken where nobody writes a tag; so no message shows it."""
 
+OWN_TRACK = "trajectory"
+"""Tag of the member that is taken where the key of this name stands; no message shows it either."""
+
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -132,7 +135,7 @@ def _without_consequences(model: type[BaseModel], problems: list[dict[str, Any]]
 
 def _explain(model: type[BaseModel], problem: dict[str, Any]) -> str:
     loc, kind = problem["loc"], problem["type"]
-    tagged = [k for k, part in enumerate(loc) if part == JSBSIM and loc[k - 1 : k] == ("flight",)]
+    tagged = [1] if loc[:1] == ("flight",) and loc[1:2] in ((JSBSIM,), (OWN_TRACK,)) else []
     place = ".".join(str(part) for k, part in enumerate(loc) if k not in tagged) or "(top level)"
     if kind == "extra_forbidden":
         fields = _fields_at(model, loc[:-1])

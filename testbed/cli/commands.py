@@ -49,9 +49,10 @@ def run(
     import testbed.montecarlo.runner
     from testbed.montecarlo.readings import KIND as READINGS
     from testbed.montecarlo.store import KIND as RESULT
+    from testbed.montecarlo.sweep import first_point
     from testbed.report import preload, render
 
-    scenario = _choose_estimators(load({}), estimators)
+    scenario = _choose_estimators(load(first_point(sweep or [])), estimators)  # which may complete the settings
     unused = [name for name in offered if name not in {entry.name for entry in scenario.estimators}]
     if unused and estimators is None:
         tell_user(f"no row of {scenario.name} uses {', '.join(unused)}: add --estimators +{',+'.join(unused)}")
@@ -132,7 +133,7 @@ def _stored_runs(folder: Path) -> int:
 
 def _announce_compilation() -> None:
     """The first run of an installation compiles the kernels; without a word that looks like a hang."""
-    compiled = any(Path(os.environ["NUMBA_CACHE_DIR"]).glob("testbed_*/*.nbi"))
+    compiled = any(Path(os.environ["NUMBA_CACHE_DIR"]).glob("*/*.nbi"))
     if not compiled:
         tell_user("first use: compiling the kernels takes a minute or two")
 

@@ -1,4 +1,4 @@
-"""Flying: JSBSim flies a scripted manoeuvre; the recorded state becomes an exact truth (`Trajectory`).
+"""The makers of truth: JSBSim flies a script, a car drives one, or a file says how a vehicle moved.
 
 `fly_flight` is the one call; flights are cached by the hash of all that determines them. SI units and radians.
 """
@@ -11,19 +11,26 @@ from testbed.data.records import Trajectory
 from testbed.flight.aircraft import Aircraft, list_aircraft, load_aircraft
 from testbed.flight.config import FlightConfig
 from testbed.flight.drive import DriveConfig, drive
+from testbed.flight.own import TrajectoryConfig
 
-__all__ = ["DriveConfig", "FlightConfig", "fly_flight", "list_aircraft"]
+__all__ = ["DriveConfig", "FlightConfig", "TrajectoryConfig", "fly_flight", "list_aircraft"]
 
 
-def fly_flight(config: FlightConfig | DriveConfig, seed: int = 0, use_cache: bool = True) -> Trajectory:
+def fly_flight(
+    config: FlightConfig | DriveConfig | TrajectoryConfig, seed: int = 0, use_cache: bool = True
+) -> Trajectory:
     """Fly ``config`` and return the truth at ``config.rate_hz``. ``seed`` seeds the turbulence unless the wind has its own.
-    A drive is made anew each time, which takes less than reading it would.
+    A drive and a file's trajectory are made anew each time, which takes less than reading them would.
 
     Raises FlightError, which names the manoeuvre and the time, when the aircraft cannot fly the script, and InputError
     for an unknown aircraft.
     """
     if isinstance(config, DriveConfig):
         return drive(config)
+    if isinstance(config, TrajectoryConfig):
+        from testbed.flight.track import fly_track
+
+        return fly_track(config)
     from testbed.flight import cache
     from testbed.flight.trial import try_aircraft
 
@@ -49,10 +56,11 @@ def _fly(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> T
     from testbed.physics.earth import G0
 
     flown = fly_script(config, aircraft, folder, seed)
-    if len(flown.state) < FEWEST_SAMPLES:
-        raise FlightError(f"a flight of {len(flown.state)} samples is too short")
-    t = np.arange(len(flown.state)) / config.rate_hz
+    rows = len(flown.v_n)
+    if rows < FEWEST_SAMPLES:
+        raise FlightError(f"a flight of {rows} samples is too short")
+    t = np.arange(rows) / config.rate_hz
     extra = {name: np.interp(t, flown.air_t, flown.air[:, i]) for i, (name, _) in enumerate(AIR)}
-    truth = make_trajectory(flown.state[:, :3], flown.state[:, 3:], config.rate_hz, flown.start)
+    truth = make_trajectory(flown.v_n, flown.q_nb, config.rate_hz, flown.start, extra, flown.phases, config.aircraft)
     extra["load_factor"] = -truth.f_b[:, 2] / G0
-    return type(truth)(**(vars(truth) | {"extra": extra, "phases": flown.phases, "name": config.aircraft}))
+    return truth

@@ -32,6 +32,15 @@ Property = Annotated[str, AfterValidator(_property)]
 """A name in JSBSim's property tree; JSBSim aborts on a malformed one."""
 
 
+class Correction(Table):
+    """``[[model.corrections]]``: an error of a model of the jsbsim package, put right in the copy that is loaded."""
+
+    component: str = Field(min_length=1, description="Name of the flight-control component in the model's XML")
+    input: str = Field(min_length=1, description="The input as the model has it")
+    becomes: str = Field(min_length=1, description="The input as it should be")
+    why: str = Field(min_length=1, description="What is wrong with it")
+
+
 class Model(Table):
     """``[model]``: the JSBSim model and where it keeps what the bench reads and sets."""
 
@@ -48,6 +57,8 @@ class Model(Table):
     """Properties set once after loading: gear up, flaps."""
     alpha_deg: float = 3.0
     """Incidence at which the settling before a flight starts."""
+    corrections: list[Correction] = []
+    """Of a shipped model only: XML of one's own is corrected where it stands."""
     external_thrust: bool = False
     """The model has no JSBSim engine that needs to be started."""
 
@@ -125,5 +136,7 @@ def load_aircraft(name: str) -> tuple[Aircraft, Path]:
         folder = aircraft_root() / name
     aircraft = validate(Aircraft, read_toml(folder / "aircraft.toml"), str(folder / "aircraft.toml"))
     if not aircraft.model.shipped:
+        if aircraft.model.corrections:
+            raise InputError(f"{folder / 'aircraft.toml'}: 'model.corrections' is for models of the jsbsim package")
         check_model(folder, aircraft.model.jsbsim)
     return aircraft, folder

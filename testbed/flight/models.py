@@ -11,14 +11,18 @@ import importlib.util
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from xml.etree import ElementTree
 from xml.parsers import expat
 
 from testbed.base.errors import InputError, shown
+from testbed.base.resources import cache_root
+
+if TYPE_CHECKING:
+    from testbed.flight.aircraft import Correction
 
 OPENING = ("input", "output")
 """Elements that open files and sockets where they are direct children of a file's root."""
@@ -118,17 +122,22 @@ def parse(file: Path) -> ElementTree.Element:
 
 
 @contextmanager
-def clean_copy(model: str) -> Iterator[ModelPaths]:
-    """A temporary copy of a model of the jsbsim package without what opens files and sockets; engines stay where they are."""
+def clean_copy(model: str, corrections: Sequence[Correction] = ()) -> Iterator[ModelPaths]:
+    """A temporary copy of a model of the jsbsim package without what opens files and sockets; engines stay where they are.
+
+    ``corrections`` are made in the copy, which lies in the cache folder: JSBSim's models are under the GPL, and none is
+    shipped. Raises InputError for a correction that finds nothing to correct, as in another version of the package.
+    """
     package = importlib.util.find_spec("jsbsim")
     assert package is not None and package.origin is not None
     shipped = Path(package.origin).parent
     source = shipped / "aircraft" / model
     if not (source / f"{model}.xml").is_file():
         raise InputError(f"JSBSim has no model '{model}'")
-    with tempfile.TemporaryDirectory(prefix="testbed-model-") as place:
+    with _scratch() as place:
         copy = Path(place) / model
         shutil.copytree(source, copy)
+        _correct(copy / f"{model}.xml", corrections)
         for file in copy.rglob("*.xml"):
             root = parse(file)
             unwanted = [child for child in root if child.tag in OPENING]
@@ -137,3 +146,33 @@ def clean_copy(model: str) -> Iterator[ModelPaths]:
             if unwanted:
                 file.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
         yield ModelPaths(copy, shipped / "engine", shipped / "systems")
+
+
+@contextmanager
+def _scratch() -> Iterator[str]:
+    """A temporary folder in the cache folder, or where temporary folders are if that cannot be written."""
+    home: Path | None = cache_root() / "models"
+    try:
+        assert home is not None
+        home.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        home = None
+    with tempfile.TemporaryDirectory(prefix="testbed-model-", dir=home) as place:
+        yield place
+
+
+def _correct(file: Path, corrections: Sequence[Correction]) -> None:
+    """Replace the inputs of components that ``corrections`` name. Raises InputError where one is not there once."""
+    if not corrections:
+        return
+    root = parse(file)
+    for wrong in corrections:
+        parts = [e for e in root.iter() if e.get("name") == wrong.component]
+        inputs = [e for part in parts for e in part.findall("input") if (e.text or "").strip() == wrong.input]
+        if len(inputs) != 1:
+            raise InputError(
+                f"{file.name} of this version of jsbsim has {len(inputs)} inputs '{wrong.input}' of '{wrong.component}', "
+                f"not the one that 'model.corrections' puts right ({wrong.why})"
+            )
+        inputs[0].text = wrong.becomes
+    file.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))

@@ -64,14 +64,14 @@ def main() -> None:
     """The child: reads what to try from stdin; says what is wrong on stdout and leaves with `REFUSED`."""
     from testbed.base.errors import TestbedError
     from testbed.flight.aircraft import load_aircraft
-    from testbed.flight.driver import time_steps
+    from testbed.flight.driver import STEP_HZ
     from testbed.flight.simulator import Simulator
 
     asked = json.loads(sys.stdin.read())
     config = FlightConfig.model_validate(asked["config"])
     try:
         aircraft, folder = load_aircraft(asked["folder"])
-        simulator = Simulator(config, aircraft, folder, time_steps(config.rate_hz)[0], seed=0)
+        simulator = Simulator(config, aircraft, folder, 1.0 / STEP_HZ, seed=0)
         for _ in range(STEPS):
             simulator.run()
         simulator.set_wind(1.0)

@@ -67,6 +67,16 @@ def hermite_integral(y0, y1, s0, s1, dt, x):
 
 
 @njit(cache=True)
+def resample(y, slope, dt, at, out):
+    """Fill ``out`` (M,n) with the splines of ``y`` (N,n) at the places ``at`` (M,), in knots from the first one."""
+    last = y.shape[0] - 2
+    for j in range(at.shape[0]):
+        k = min(int(at[j]), last)
+        for i in range(y.shape[1]):
+            out[j, i], _ = hermite(y[k, i], y[k + 1, i], slope[k, i], slope[k + 1, i], dt, at[j] - k)
+
+
+@njit(cache=True)
 def integrate_position(v, slope, dt, lat, lon, h):
     """Latitude, longitude (rad) and height (m) at every knot from the start; v and slope (N,3).
 

@@ -43,6 +43,11 @@ def parse_sweep(text: str) -> tuple[str, list[Any]]:
     return key.strip(), parsed
 
 
+def first_point(grid: Sequence[str]) -> dict[str, Any]:
+    """The settings of the first point of the grid that some ``--sweep`` span."""
+    return {key: values[0] for key, values in map(parse_sweep, grid)}
+
+
 def sweep(
     load: Callable[[Mapping[str, Any]], Scenario],
     grid: Mapping[str, Sequence[Any]],

@@ -18,18 +18,31 @@ from pydantic import Discriminator, Field, PrivateAttr, Tag, model_validator
 
 from testbed.base import resources
 from testbed.base.errors import OWN, InputError, nearest, shown
-from testbed.base.schema import DEEPEST, JSBSIM, Name, Table, dump_toml, is_file, parse_toml, read_toml, validate
+from testbed.base.schema import (
+    DEEPEST,
+    JSBSIM,
+    OWN_TRACK,
+    Name,
+    Table,
+    dump_toml,
+    is_file,
+    parse_toml,
+    read_toml,
+    validate,
+)
 from testbed.flight.config import FlightConfig
 from testbed.flight.drive import DriveConfig
+from testbed.flight.own import TrajectoryConfig
 from testbed.formats.config import RecordingConfig
 from testbed.scoring.claims import ClaimConfig, ReadingConfig
 from testbed.sensors.config import InitialConfig
-from testbed.sensors.registry import SensorsConfig
+from testbed.sensors.registry import SENSORS, SensorsConfig
 
 if TYPE_CHECKING:
     import numpy as np
 
 Positive = Annotated[float, Field(gt=0)]
+OWN_FILE = f"flight.{OWN_TRACK}"
 LONGEST_TIMEOUT_S = 1e8
 """Three years; the timers of the operating system take no infinity."""
 
@@ -164,16 +177,24 @@ class TableConfig(Table):
 
 def _maker(data: Any) -> str:
     """Tag of the maker of a motion, for data or a configuration."""
+    if isinstance(data, Mapping) and "trajectory" in data and "type" not in data:
+        return OWN_TRACK
     found = data.get("type", JSBSIM) if isinstance(data, Mapping) else getattr(data, "type", JSBSIM)
     return str(found)
 
 
-Motion = Annotated[Annotated[FlightConfig, Tag(JSBSIM)] | Annotated[DriveConfig, Tag("drive")], Discriminator(_maker)]
-"""``[flight]``: flown by JSBSim where it does not say otherwise."""
+Motion = Annotated[
+    Annotated[FlightConfig, Tag(JSBSIM)]
+    | Annotated[DriveConfig, Tag("drive")]
+    | Annotated[TrajectoryConfig, Tag(OWN_TRACK)],
+    Discriminator(_maker),
+]
+"""``[flight]``: a file where it names one as ``trajectory``, else flown by JSBSim where it does not say otherwise."""
 
 
 class Scenario(Table):
-    """A checked scenario. Exactly one of ``flight`` and ``recording`` is set."""
+    """A checked scenario. Exactly one of ``flight`` and ``recording`` is set; a recording with ``sensors`` lends its reference
+    as truth, and its own sensors are left aside."""
 
     scenario: Header
     flight: Motion | None = None
@@ -202,9 +223,17 @@ class Scenario(Table):
         if self.flight is not None and self.sensors is None:
             raise ValueError("a scenario with [flight] needs [sensors.imu]")
         if self.recording is not None and self.sensors is not None:
-            raise ValueError(
-                "[sensors] has no meaning beside [recording], whose sensors are the recorded ones; their figures go into [recording.imu] and so on"
-            )
+            for kind in self.recording.model_fields_set & {"imu", *SENSORS, "initial"}:
+                raise ValueError(
+                    f"[recording.{kind}] has no meaning beside [sensors], which sense the recording's reference anew; "
+                    f"figures go into [sensors.{kind}]"
+                    if kind != "initial"
+                    else "[recording.initial] has no meaning beside [sensors], which sense the reference anew; use [initial]"
+                )
+        if isinstance(self.flight, TrajectoryConfig) or self.recording is not None:
+            for what in ("turbulence", "manoeuvres"):
+                if what in self.monte_carlo.vary:
+                    raise ValueError(f"monte_carlo.vary has '{what}', but recorded motion is the same in every run")
         rows = [entry.row for entry in self.estimators]
         for row in rows:
             if rows.count(row) > 1:
@@ -283,7 +312,18 @@ class Scenario(Table):
             except InputError as error:
                 raise InputError(f"{self._source}: 'flight.aircraft': {error}") from None
             data["flight"]["aircraft"] = hashlib.sha256(content).hexdigest()
+        if isinstance(self.flight, TrajectoryConfig):
+            data["flight"]["trajectory"] = self._content_of(Path(self.flight.trajectory))
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
+
+    def _content_of(self, path: Path) -> str:
+        """Hash of the file of a trajectory."""
+        try:
+            return hashlib.sha256(path.read_bytes()).hexdigest()
+        except OSError as error:
+            raise InputError(
+                f"{self._source}: 'flight.trajectory': {path}: cannot be read ({error.strerror})"
+            ) from None
 
 
 def list_scenarios() -> dict[str, Path]:
@@ -336,10 +376,12 @@ def load_scenario(
         data = _overlay(data, overlays[kind][chosen])
     if reading is not None:
         data = _overlay(data, _reading_overlay(data, reading, path))
+    if OWN_FILE in (overrides or {}) and OWN_TRACK not in data.get("flight", {}):
+        data["flight"] = {}  # a file in place of what the scenario flies
     for key, value in (overrides or {}).items():
         set_key(data, key, value, str(path))
     _inline_parameter_files(data, path)
-    if "recording" in data and "flight" not in data:
+    if "recording" in data and "flight" not in data and "sensors" not in data:
         data = merge({"monte_carlo": {"runs": 1}}, data)  # every run of a recording is the same
     scenario = validate(Scenario, data, str(path), path.resolve().parent)
     scenario._source, scenario._variant, scenario._profile = str(path.resolve()), variant, profile
@@ -363,8 +405,8 @@ def _take_overlays(data: dict[str, Any], path: Path) -> dict[str, dict[str, Any]
 
 def _check_dispersion(scenario: Scenario) -> None:
     """Raise InputError for a dispersed key that no flight has, or a distribution whose own marks no flight allows."""
-    if scenario.flight is None:
-        return
+    if scenario.flight is None or isinstance(scenario.flight, TrajectoryConfig):
+        return  # a file's trajectory is the same in every run
     flight = scenario.flight.model_dump(mode="json", exclude_none=True)
     for key, distribution in scenario.monte_carlo.disperse.items():
         if "*" in key:
@@ -385,9 +427,12 @@ def _reading_overlay(data: Mapping[str, Any], name: str, path: Path) -> Mapping[
 
 
 def _overlay(data: dict[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
-    """`merge`; an overlay with ``[recording]`` takes the place of the flight and its sensors."""
+    """`merge`; a file's trajectory takes the place of the flight, ``[recording]`` that of the flight and its sensors."""
     if "recording" in overlay and "flight" in data:
         data = {key: value for key, value in data.items() if key not in ("flight", "sensors")}
+    flight = overlay.get("flight")
+    if isinstance(flight, Mapping) and OWN_TRACK in flight and OWN_TRACK not in data.get("flight", {}):
+        data = data | {"flight": {}}
     return merge(data, overlay)
 
 

@@ -144,9 +144,10 @@ class ImuConfig(SensorTable):
 class RandomOutages(Table):
     """Outages drawn anew in every run: they never overlap."""
 
-    count: Annotated[int, Field(ge=1, le=10_000)]
-    """At most one in 20 s of the longest flight (200,000 s)."""
-    duration_s: Positive
+    count: Annotated[int, Field(ge=0, le=10_000)]
+    """At most one in 20 s of the longest flight (200,000 s); 0 for none."""
+    duration_s: NonNegative
+    """0 for none, where a sweep begins."""
     after_s: NonNegative = 60.0
     """Not before this time."""
     gap_s: NonNegative = 30.0

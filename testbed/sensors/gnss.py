@@ -89,6 +89,8 @@ def outage_windows(config: GnssConfig, trajectory: Trajectory, draws: Draws) -> 
 
 def _random_windows(wanted: RandomOutages, start: float, end: float, draws: Draws) -> Windows:
     """Uniform over all placements that keep the gaps."""
+    if not wanted.count or not wanted.duration_s:
+        return ()
     first, period = start + wanted.after_s, wanted.duration_s + wanted.gap_s
     free = end - first - wanted.count * period
     if free < 0.0:

@@ -78,17 +78,17 @@ def test_truth_stays_with_jsbsim():
     """JSBSim integrates its own position over its own ellipsoid; both end within a metre after 200 s of turns."""
     config = flight("aerosonde", 30.0, turn(40.0, 60.0), turn(-40.0, 60.0), straight(80.0), alt=500.0)
     aircraft, folder = load_aircraft("aerosonde")
-    simulator = Simulator(config, aircraft, folder, 0.005, 0)
-    pilot = driver._Pilot(config, aircraft, simulator, 0.005, 2)
+    simulator = Simulator(config, aircraft, folder, 1.0 / driver.STEP_HZ, 0)
+    pilot = driver._Pilot(config, aircraft, simulator)
     pilot.settle(config)
     before = [read() for read in simulator.place[:2]]
     flown = pilot.fly(config)
+    made = truth.make_trajectory(flown.v_n, flown.q_nb, 100.0, flown.start)
     after = [read() for read in simulator.place[:2]]
-    trajectory = truth.make_trajectory(flown.state[:, :3], flown.state[:, 3:], 100.0, flown.start)
-    north, east = earth.metres_per_radian(trajectory.lat[0], trajectory.h[0])
-    assert (trajectory.lat[-1] - trajectory.lat[0]) * north == pytest.approx((after[0] - before[0]) * north, abs=1.0)
-    assert (trajectory.lon[-1] - trajectory.lon[0]) * east == pytest.approx((after[1] - before[1]) * east, abs=1.0)
-    assert trajectory.h[-1] == pytest.approx(simulator.motion[6]() * 0.3048, abs=1.0)
+    north, east = earth.metres_per_radian(made.lat[0], made.h[0])
+    assert (made.lat[-1] - made.lat[0]) * north == pytest.approx((after[0] - before[0]) * north, abs=1.0)
+    assert (made.lon[-1] - made.lon[0]) * east == pytest.approx((after[1] - before[1]) * east, abs=1.0)
+    assert made.h[-1] == pytest.approx(simulator.motion[6]() * 0.3048, abs=1.0)
 
 
 def test_state_between_rows_meets_the_finer_flight():
