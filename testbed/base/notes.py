@@ -17,11 +17,21 @@ def notes_of(scenario: Scenario) -> list[str]:
     """The notes of a checked scenario, in sentences. Raises what reading its recording and making its estimators raises."""
     notes = _of_recording(scenario) if scenario.recording is not None else _of_flight(scenario)
     recorded = _recorded(scenario)
-    used = [_sensors_of(make_estimator(entry.name, **entry.params)) for entry in scenario.estimators]
+    made = [make_estimator(entry.name, **entry.params) for entry in scenario.estimators]
+    used = [_sensors_of(estimator) for estimator in made]
+    # what an estimator itself has to tell, such as how old its weights are
+    told = (
+        f"{entry.row}: {note}" for entry, m in zip(scenario.estimators, made, strict=True) for note in _own_notes(m)
+    )
+    notes += dict.fromkeys(told)
     if None not in used:
         idle = [kind for kind in recorded if not any(kind in (names or ()) for names in used)]
         notes += [f"no estimator of this run uses the sensor {kind}" for kind in idle]
     return notes
+
+
+def _own_notes(estimator: Any) -> tuple[str, ...]:
+    return tuple(getattr(estimator, "notes", ()))
 
 
 def _of_flight(scenario: Scenario) -> list[str]:

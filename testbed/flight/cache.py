@@ -10,6 +10,7 @@ import json
 import os
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from testbed.base.errors import InputError, tell_user
 from testbed.base.files import StoreError
@@ -25,13 +26,18 @@ FORMAT = 2
 """Of the files: since the second they carry the hashes of their content and of their flight."""
 
 
+def flown_by() -> dict[str, Any]:
+    """What makes a flight beside its configuration: this code and JSBSim. Whatever was learned or stored from flights of
+    another maker is none of this one's."""
+    return {"code": CODE_VERSION, "jsbsim": version("jsbsim")}
+
+
 def path_of(config: FlightConfig, folder: Path, seed: int) -> Path:
     """Where the flight of ``config`` is, or would be, kept."""
     digest = hashlib.sha256()
     key = {
-        "code": CODE_VERSION,
+        **flown_by(),
         "format": FORMAT,
-        "jsbsim": version("jsbsim"),
         "config": config.model_dump(mode="json") | {"aircraft": folder.name},
         "seed": seed if config.wind.turbulence != "none" else 0,
     }

@@ -304,6 +304,10 @@ class Scenario(Table):
         for sensor in data.get("sensors", {}).values():
             if isinstance(sensor, dict) and "file" in sensor:
                 sensor["file"] = hashlib.sha256(Path(sensor["file"]).read_bytes()).hexdigest()
+        if isinstance(self.flight, FlightConfig):
+            from testbed.flight.cache import flown_by
+
+            data["flown_by"] = flown_by()
         if isinstance(self.flight, FlightConfig) and "/" in self.flight.aircraft:
             from testbed.flight.cache import content_of
 

@@ -23,6 +23,7 @@ from testbed.base.errors import FlightError, InputError
 from testbed.base.files import from_json, write_atomic
 from testbed.base.schema import Table, validate
 from testbed.base.streams import stream
+from testbed.flight.cache import flown_by
 from testbed.flight.config import FlightConfig
 from testbed.montecarlo.folders import MANIFEST, Folder
 from testbed.scenario import Scenario
@@ -132,6 +133,7 @@ def dataset_key(scenario: Scenario) -> str:
     data = scenario.to_data()
     parts = {key: data.get(key, {}) for key in ("flight", "sensors", "initial")}
     parts["flight"] = {key: parts["flight"].get(key) for key in ("aircraft", "rate_hz", "initial")}
+    parts["flown_by"] = flown_by()
     settings = dataset_config(scenario).model_dump(mode="json")
     parts["dataset"] = {key: value for key, value in settings.items() if key not in ("flights", "validation")}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]

@@ -17,6 +17,7 @@ from testbed import pipeline
 from testbed.base.errors import InputError
 from testbed.base.schema import Table, validate
 from testbed.data.records import SensorLog, Trajectory
+from testbed.flight.cache import flown_by
 from testbed.flight.config import FlightConfig
 from testbed.scenario import Scenario
 
@@ -80,5 +81,6 @@ def training_digest(scenario: Scenario) -> str:
     data = training_scenario(scenario).to_data()
     parts = {key: data.get(key) for key in ("flight", "sensors", "initial")}
     parts["draws"] = {key: data["monte_carlo"].get(key) for key in ("seed", "vary")}
+    parts["flown_by"] = flown_by()
     parts["runs"] = training_config(scenario).runs
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]

@@ -84,9 +84,9 @@ def recording(workplace):
     return "r.toml"
 
 
-def test_sensors_beside_a_recording_are_refused(recording):
-    with pytest.raises(InputError, match=r"r.toml: .*\[sensors\] has no meaning beside \[recording\]"):
-        load_scenario(recording, overrides={"sensors.imu.model": "ADIS16448"})
+def test_sensors_beside_a_recording_leave_its_own_aside(recording):
+    given = load_scenario(recording, overrides={"sensors.imu.model": "ADIS16448"})
+    assert "the recording's own sensors (imu, gnss" in notes_of(given)[0]
 
 
 def test_keys_without_effect_on_a_recording_are_told(recording):
@@ -131,3 +131,14 @@ def test_tuning_without_the_extra_tuning_leaves_out_its_algorithm(monkeypatch, c
     assert capsys.readouterr().err.count("note: ") == 2
     with pytest.raises(InputError, match="needs the package cma"):
         _without_extras(TuneConfig(algorithms=["de", "cma-es"]), asked=True)
+
+
+def test_a_network_that_saw_other_flights_is_told():
+    """The weights of 0.1 are known by their hash; with others, or none, there is nothing to tell."""
+    old, none = (
+        {"estimators": [{"name": "ahrs-lstm", "params": p}], "sensors__mag": {}} for p in ({}, {"weights": "untrained"})
+    )
+    assert any(
+        "ahrs-lstm: its shipped weights saw the flights of version 0.1" in note for note in notes_of(quickstart(**old))
+    )
+    assert not any("weights" in note for note in notes_of(quickstart(**none)))
