@@ -1,7 +1,9 @@
 """`pyins`: the feedback filter of the package python-ins (N. Matveev), as a peer for accuracy and speed.
 
 Fed with the same specifications, initial state and fixes as `indirect-kf`; needs the optional extra ``peers``.
-python-ins works in degrees and pandas; everything is converted at this edge.
+python-ins works in degrees and pandas; everything is converted at this edge. Two things it does not take, and gets in a form
+that it does: it subtracts longitudes without wrapping them, so they count from the start here, and its matrices want even
+sampling, so a gap of the IMU is filled with parts of the interval that bridges it.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from estimators.aiding.gnss import MINIMUM_STD, require_gnss
 from estimators.blocks.imu import noise_model
 from testbed.base.errors import InputError, MissingExtra
 from testbed.data.records import NavSolution, SensorLog
-from testbed.physics.rotations import eulers_to_quats, quats_to_eulers
+from testbed.physics.rotations import eulers_to_quats, quats_to_eulers, wrap
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -81,7 +83,7 @@ def initial_pva(log: SensorLog) -> pd.Series:
 
     s = log.initial
     euler = np.degrees(quats_to_eulers(np.atleast_2d(s.q_nb))[0])
-    place = [np.degrees(s.lat), np.degrees(s.lon), s.h]
+    place = [np.degrees(s.lat), 0.0, s.h]  # longitude counts from here
     return pd.Series([*place, *s.v_n, *euler], index=LLA + VELOCITY + EULER, name=s.t)
 
 
@@ -92,10 +94,26 @@ def imu_increments(log: SensorLog) -> pd.DataFrame:
 
     imu, s = log.imu, log.initial
     t = np.concatenate([[s.t], imu.t])
-    values = np.hstack([imu.gyro - s.gyro_bias, imu.accel - s.accel_bias]) * np.diff(t)[:, None]
+    rates = np.hstack([imu.gyro - s.gyro_bias, imu.accel - s.accel_bias])
+    t, rates = without_gaps(t, rates)
+    values = rates * np.diff(t)[:, None]
     names = [f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz"]
     frame = pd.DataFrame(np.vstack([np.zeros(6), values]), index=t, columns=names)
     return compute_increments_from_imu(frame, "increment")
+
+
+def without_gaps(t: Any, rates: Any) -> tuple[Any, Any]:
+    """Times (N+1,) and means (N,k) over the intervals between them, those across a gap cut to the usual length."""
+    from testbed.data.shapes import gaps_of
+
+    if not gaps_of(t):
+        return t, rates
+    steps = np.diff(t)
+    counts = np.where(np.isin(t[:-1], [before for before, _ in gaps_of(t)]), np.round(steps / np.median(steps)), 1)
+    counts = counts.astype(int)
+    ends = np.concatenate([t[k] + steps[k] * np.arange(1, n + 1) / n for k, n in enumerate(counts)])
+    ends[np.cumsum(counts) - 1] = t[1:]
+    return np.concatenate([t[:1], ends]), np.repeat(rates, counts, axis=0)
 
 
 def fix_frames(log: SensorLog) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -104,12 +122,14 @@ def fix_frames(log: SensorLog) -> tuple[pd.DataFrame, pd.DataFrame]:
 
     gnss = require_gnss(log, "pyins")
     t = gnss.t - gnss.spec.latency_s
-    place = pd.DataFrame(np.column_stack([np.degrees(gnss.lat), np.degrees(gnss.lon), gnss.h]), index=t, columns=LLA)
+    east = np.degrees(wrap(gnss.lon - log.initial.lon))
+    place = pd.DataFrame(np.column_stack([np.degrees(gnss.lat), east, gnss.h]), index=t, columns=LLA)
     return place, pd.DataFrame(gnss.v_n, index=t, columns=VELOCITY)
 
 
 def _solution(log: SensorLog, result: Any) -> NavSolution:
     table = result.trajectory.iloc[1:]
+    table = table[np.isin(table.index.to_numpy(), log.imu.t)]
     euler = np.radians(table[EULER].to_numpy())
     t = table.index.to_numpy()
 
@@ -120,7 +140,7 @@ def _solution(log: SensorLog, result: Any) -> NavSolution:
     return NavSolution(
         t,
         np.radians(table["lat"].to_numpy()),
-        np.radians(table["lon"].to_numpy()),
+        wrap(np.radians(table["lon"].to_numpy()) + log.initial.lon),
         table["alt"].to_numpy(),
         table[VELOCITY].to_numpy(),
         eulers_to_quats(euler),

@@ -232,13 +232,19 @@ def sense_command(
 
 @app.command("allan")
 def allan_command(
-    log: Annotated[Path, typer.Argument(help="Folder of a sensor log at rest.")],
+    log: Annotated[
+        Path, typer.Argument(help="A record at rest: folder of a sensor log, or a table (.csv, .parquet) of one's own.")
+    ],
+    sensor: Annotated[str, typer.Option("--sensor", help="Name of the catalogue entry that is written.")] = "mine",
+    mapping: Annotated[
+        Path | None, typer.Option("--map", help="TOML file with a table [columns] for a table of other names or units.")
+    ] = None,
     out: OutOption = None,
 ) -> None:
-    """Allan deviation of a log at rest, and the coefficients fitted to it."""
+    """Allan deviation of a record at rest, the fitted figures, and a catalogue entry of them."""
     from testbed.cli import commands
 
-    commands.allan(log, out)
+    commands.allan(log, out, sensor, mapping)
 
 
 @app.command("import")

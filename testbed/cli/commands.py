@@ -21,6 +21,7 @@ from testbed.cli.console import print_claims, print_failures, print_summary, pro
 from testbed.montecarlo.folders import Folder, check_own
 
 if TYPE_CHECKING:
+    from testbed.data.records import SensorLog
     from testbed.scenario import Scenario
 
 AUTO_CAP = 1000
@@ -268,27 +269,57 @@ def sense(scenario: Scenario, out: Path | None) -> None:
     print(f"{counts} samples: {folder}")
 
 
-def allan(log: Path, out: Path | None) -> None:
-    """``testbed allan``."""
-    from testbed.data.records import SensorLog
+def allan(log: Path, out: Path | None, sensor: str = "mine", mapping: Path | None = None) -> None:
+    """``testbed allan``: a log of the bench, or a table of one's own with the unit in each column's name."""
+    from testbed.formats.table_samples import at_rest
     from testbed.sensors import allan as analysis
+    from testbed.sensors import allan_export
 
     folder = out or Path("results") / "allan"
     check_own(folder, "testbed allan")
-    read = SensorLog.load(log / "log" if (log / "log" / "imu.parquet").is_file() else log)
+    if not re.fullmatch(r"[A-Za-z0-9_-]+", sensor):
+        raise InputError(f"--sensor {sensor}: letters, digits, - and _ make the name of a catalogue entry")
+    read = _own_log(log) or at_rest(log, mapping)
     table = analysis.analyse(read)
     if (spread := math.degrees(read.imu.gyro.std(axis=0).max())) > MOVING_DPS:
         tell_user(
             f"{log}: the gyros vary by {spread:.2g} °/s, so it was not at rest; the figures are those of the motion"
         )
     print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+    pooled = analysis.pooled_figures(read)
+    words = allan_export.text(allan_export.in_words_of_others(read.imu.spec.rate_hz, pooled))
+    print(f"\n{words}")
     with Folder.open(folder, "testbed allan") as own:
-        own.claim(["allan.csv", "allan.png"])
+        own.claim(["allan.csv", "allan.png", "sensors.toml", "other-tools.txt"])
         own.write("allan.csv", table.to_csv(index=False).encode())
+        own.write("sensors.toml", allan_export.entry(sensor, read, pooled).encode())
+        own.write("other-tools.txt", words.encode())
         analysis.plot(read, folder / "allan.png")
         own.finish("allan.png")
         own.save()
     print(f"plot: {folder / 'allan.png'}")
+    print(f'catalogue entry: {folder / "sensors.toml"}; use it with model = "{sensor}", file = "sensors.toml"')
+
+
+def _own_log(path: Path) -> SensorLog | None:
+    """The log that the bench wrote into a folder, or None where it is none of these."""
+    from testbed.data.records import SensorLog
+
+    for folder in (path / "log", path):
+        if (folder / "imu.parquet").is_file() and (folder / "imu.parquet").stat().st_size and _is_log(folder):
+            return SensorLog.load(folder)
+    return None
+
+
+def _is_log(folder: Path) -> bool:
+    """Whether ``imu.parquet`` has the header of a stored log; tables of one's own have the same name."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        return b"testbed" in b" ".join((pq.read_schema(folder / "imu.parquet").metadata or {}).keys())
+    except (OSError, pa.ArrowException):
+        return True  # reading it says what is wrong
 
 
 IMPORTED = """# The imported recording as a scenario.

@@ -17,7 +17,7 @@ writes, holds the specifications and the initial state; without it they come fro
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,14 +64,21 @@ EPOCH = 1e7
 class Tables:
     """The tables of a folder, columns in the bench's units by their stems (``time``, ``gyro_x``, ``lat`` ...)."""
 
-    def __init__(self, folder: Path, files: Mapping[str, str], columns: Mapping[str, str | dict[str, str]]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        files: Mapping[str, str],
+        columns: Mapping[str, str | dict[str, str]],
+        only: Sequence[str] | None = None,
+    ) -> None:
+        """``only`` names the parts that are read; all that are there by default."""
         if not folder.is_dir():
             raise InputError(f"{folder}: no such folder; the key recording.dir says where the recording lies")
         _check_mapping(columns, folder)
         self.folder = folder
         self.parts: dict[str, dict[str, Array]] = {}
         base: int | None = None
-        found = _find(folder, files)
+        found = {part: path for part, path in _find(folder, files).items() if only is None or part in only}
         self.places = {part: str(path) for part, path in found.items()}
         for part, path in found.items():
             self.parts[part], base = _read_part(path, part, _mapping_of(part, columns), base)

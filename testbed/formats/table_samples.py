@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from testbed.base.errors import InputError
 from testbed.data import specs
-from testbed.data.records import Array, BaroSamples, GnssFixes, ImuSamples, InitialState, MagSamples
+from testbed.data.records import Array, BaroSamples, GnssFixes, ImuSamples, InitialState, MagSamples, SensorLog
 from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 from testbed.formats.config import RecordingConfig
 from testbed.formats.raw import Raw
@@ -53,6 +54,21 @@ def samples_of(tables: Tables, sampling: str) -> Raw:
     raw.utc = float(tables.base) if EARLIEST_UTC < tables.base < LATEST_UTC else None
     _add_aiding(raw, tables, spec, _stored_outages(stored, tables.folder))
     return raw
+
+
+def at_rest(path: Path, mapping: Path | None = None) -> SensorLog:
+    """The IMU of a table (a file, or ``imu.csv`` or ``imu.parquet`` of a folder) as a log that knows nothing of the sensor."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    files = {} if path.is_dir() else {"imu": path.name}
+    tables = Tables(path if path.is_dir() else path.parent, files, read_mapping(mapping) if mapping else {}, ("imu",))
+    raw = samples_of(tables, "interval")
+    assert raw.imu is not None
+    steps = float(raw.imu.t[-1] - raw.imu.t[0]) / (len(raw.imu.t) - 1)
+    imu = replace(raw.imu, spec=ImuSpec("unknown", rate_hz=1.0 / steps))
+    one = np.array([1.0, 0.0, 0.0, 0.0])
+    initial = InitialState(raw.t_start, 0.0, 0.0, 0.0, np.zeros(3), one, np.zeros(3), np.zeros(3), np.ones(15))
+    return SensorLog(imu, initial, name=path.name)
 
 
 def _add_aiding(raw: Raw, tables: Tables, spec: dict[str, Any], outages: tuple[tuple[float, float], ...]) -> None:

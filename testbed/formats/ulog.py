@@ -79,6 +79,7 @@ def read_file(path: Path, allow_truncated: bool = False) -> Raw:
         **{k: gnss[k][keep] for k in ("lat", "lon", "h", "v_n", "std")},
         spec=gnss["spec"],
     )
+    raw.gnss_position_only = gnss["position_only"]
     raw.utc = None if gnss["utc"] is None else gnss["utc"] - float(clock.seconds(gnss_us[:1])[0])
     raw.mag, raw.baro = _mag(path, topics, clock), _baro(path, topics, clock)
     raw.motion = _reference(path, topics, clock, gnss["undulation"])
@@ -220,9 +221,12 @@ def _gnss(
     name, data = found
     place = f"{path}: {name}"
     us, keep = _stamps(data, place)
-    good = (data["fix_type"][keep] >= 3) & (data["vel_ned_valid"][keep] != 0 if "vel_ned_valid" in data else True)
+    good = data["fix_type"][keep] >= 3
+    moving = data["vel_ned_valid"][keep] != 0 if "vel_ned_valid" in data else np.ones(len(good), dtype=bool)
+    position_only = int((good & moving).sum()) < 2
+    good = good if position_only else good & moving
     if good.sum() < 2:
-        raise InputError(f"{place}: no three-dimensional fixes with velocity ({len(good)} messages)")
+        raise InputError(f"{place}: no three-dimensional fixes ({len(good)} messages)")
     rows = np.flatnonzero(keep)[good]
 
     def column(field: str) -> Array:
@@ -252,7 +256,7 @@ def _gnss(
         lever_arm_b=(x, y, z),
         latency_s=float(parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3,
     )
-    v_n = np.column_stack([column(f"vel_{a}_m_s") for a in "ned"])
+    v_n = np.zeros((len(lat), 3)) if position_only else np.column_stack([column(f"vel_{a}_m_s") for a in "ned"])
     out = {
         "lat": lat,
         "lon": lon,
@@ -261,6 +265,7 @@ def _gnss(
         "std": std,
         "spec": spec,
         "undulation": undulation,
+        "position_only": position_only,
         "utc": _utc(data, rows[0]),
     }
     return us[good], out

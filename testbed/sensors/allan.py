@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -73,11 +73,13 @@ def _units(triad: str) -> dict[str, _Unit]:
         return {
             "white_noise": _Unit("ARW", "deg/sqrt(h)", 60.0 * deg),
             "bias_instability": _Unit("bias instability", "deg/h", 3600.0 * deg),
+            "correlation_time_s": _Unit("correlation time", "s", 1.0),
             "rate_random_walk": _Unit("RRW", "deg/sqrt(h3)", 3600.0**1.5 * deg),
         }
     return {
         "white_noise": _Unit("VRW", "m/s/sqrt(h)", 60.0),
         "bias_instability": _Unit("bias instability", "mg", 1e3 / G0),
+        "correlation_time_s": _Unit("correlation time", "s", 1.0),
         "rate_random_walk": _Unit("RRW", "m/s/sqrt(h3)", 3600.0**1.5),
     }
 
@@ -101,10 +103,27 @@ def analyse(log: SensorLog) -> pd.DataFrame:
         for axis, figures in zip(("x", "y", "z", "all"), [*each, together], strict=True):
             for key, unit in _units(triad).items():
                 note = _strangers(key, together, each) if axis == "all" else ""
-                row = _row(figures, key, getattr(spec, key), unit, note)
+                known = key != "correlation_time_s" or spec.bias_instability > 0.0  # else it is a default
+                row = _row(figures, key, getattr(spec, key) if known else 0.0, unit, note)
                 if row is not None:
                     rows.append({"triad": triad, "axis": axis} | row)
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+class Pooled(NamedTuple):
+    """Fits to the mean Allan variance of the three axes."""
+
+    gyro: Figures
+    accel: Figures
+
+
+def pooled_figures(log: SensorLog) -> Pooled:
+    """One set of figures for each triad: what a specification holds, even where the axes differ."""
+    fits = []
+    for _, samples, spec in _triads(log):
+        curve = pooled([allan_deviation(samples[:, i], _rate(log)) for i in range(3)])
+        fits.append(_fit(curve, log, spec, 3))
+    return Pooled(*fits)
 
 
 def _row(figures: Figures, key: str, promised: float, unit: _Unit, note: str) -> dict[str, Any] | None:
@@ -116,7 +135,7 @@ def _row(figures: Figures, key: str, promised: float, unit: _Unit, note: str) ->
         told = note or ("not told apart from zero" + (f": below {limit * unit.factor:.3g}" if limit else ""))
         value = std = math.nan
     else:
-        value, std, told = fitted * unit.factor, getattr(figures, f"{key}_std") * unit.factor, ""
+        value, std, told = fitted * unit.factor, getattr(figures, f"{key}_std", math.nan) * unit.factor, ""
     sheet = promised * unit.factor if promised else math.nan
     difference = 100.0 * (value / sheet - 1.0)
     row = {"figure": unit.name, "unit": unit.unit, "fitted": value, "std": std}
@@ -127,8 +146,8 @@ def _strangers(key: str, together: Figures, each: list[Figures]) -> str:
     """Why one value does not fit all axes; empty where it does."""
     value = getattr(together, key)
     for axis, figures in zip("xyz", each, strict=True):
-        own, std = getattr(figures, key), getattr(figures, f"{key}_std")
-        if own and value and abs(own - value) > APART * math.hypot(std, getattr(together, f"{key}_std")):
+        own, std = getattr(figures, key), getattr(figures, f"{key}_std", math.nan)
+        if own and value and abs(own - value) > APART * math.hypot(std, getattr(together, f"{key}_std", math.nan)):
             return f"the axes differ: {axis} does not fit a common value"
         if not own and value and value > 2.0 * figures.limits.get(key, math.inf):
             return f"the axes differ: {axis} has less than a common value"
