@@ -10,7 +10,7 @@ Sensor-error states are "measured minus true", SI units and radians.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -56,6 +56,14 @@ class Block:
     follows_imu: bool = False
     """Whether ``couple`` depends on the sample and must be called with each of them."""
     summary: str = ""
+    chain: tuple[tuple[int, int], ...] = ()
+    """Pairs of states of which the first is the integral of the second; both keep their value otherwise."""
+    named: Callable[[SensorLog], tuple[str, ...]] | None = None
+    """Names of the states where the log decides how many there are (one per satellite); ``states`` is then empty."""
+
+    def on(self, log: SensorLog) -> Block:
+        """The block with the states that it has on this log."""
+        return self if self.named is None else replace(self, states=self.named(log))
 
 
 BLOCKS: dict[str, Block] = {}

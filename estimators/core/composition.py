@@ -153,7 +153,7 @@ class Prepared:
 
 def prepare(composition: Composition, log: SensorLog) -> Prepared:
     """Raises InputError where the composition is not sound or the log lacks what it needs."""
-    blocks, aidings = composition.blocks(), composition.aidings()
+    blocks, aidings = [block.on(log) for block in composition.blocks()], composition.aidings()
     composition.error_code()
     processes = [block.process(log) for block in blocks]
     sizes = [len(block.states) for block in blocks]
@@ -257,7 +257,9 @@ def make_model(prepared: Prepared, keep: Any) -> Model:
     blocks = _blocks(prepared, np.zeros((k, 3)), np.zeros((k, 3)), calls.COUPLE)
     work = _work(lambda *shape: np.zeros(shape), m, n)
     coupling = Coupling(_spans(prepared), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
-    inputs = Inputs(_imu(prepared.log), prepared.white, prepared.drive, prepared.decay, prepared.centre)
+    inputs = Inputs(
+        _imu(prepared.log), prepared.white, prepared.drive, prepared.decay, prepared.centre, _chain(prepared)
+    )
     events = _events(prepared, prepared.r, calls.MEASURE)
     error = prepared.composition.error_code()
     return Model(inputs, blocks, events, error, prepared.start.copy(), p, scratch, coupling, work, keep)
@@ -274,7 +276,7 @@ def make_lanes(prepared: Prepared, white: Array, drive: Array, r: Array, keep: A
     blocks = _blocks(prepared, table(k, 3), table(k, 3), calls.COUPLE_LANES)
     work = _work(table, m, n)
     coupling = Coupling(_spans(prepared), table(k, 3), table(k, 3), np.zeros(k))
-    inputs = Inputs(_imu(prepared.log), white, drive, prepared.decay, prepared.centre)
+    inputs = Inputs(_imu(prepared.log), white, drive, prepared.decay, prepared.centre, _chain(prepared))
     state = table(AUX + k)
     state[:] = prepared.start[:, None]
     events = _events(prepared, r, calls.MEASURE_LANES)
@@ -311,6 +313,15 @@ def _spans(prepared: Prepared) -> NDArray[np.int64]:
     """First and last + 1 sensor-error state that add to specific force, then to angular rate."""
     ends = np.cumsum([sum(len(b.states) for b in prepared.blocks if b.adds_to == kind) for kind in ("accel", "gyro")])
     return np.array([0, ends[0], ends[0], ends[1]], dtype=np.int64)
+
+
+def _chain(prepared: Prepared) -> NDArray[np.int64]:
+    """Pairs of sensor-error states of which the first is the integral of the second."""
+    pairs, first = [], 0
+    for block in prepared.blocks:
+        pairs += [(first + i, first + j) for i, j in block.chain]
+        first += len(block.states)
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def _blocks(prepared: Prepared, accel: Array, gyro: Array, signature: Any) -> Blocks:

@@ -22,6 +22,7 @@ from estimators.core.propagate import (
     Coupling,
     Scratch,
     add_noise,
+    integrate_pairs,
     propagate,
     turn_attitude_errors,
     turn_position_errors,
@@ -63,6 +64,8 @@ class Inputs(NamedTuple):
     """(k,) their inverse correlation times, 1/s."""
     centre: Array
     """(k,) what they return to."""
+    chain: NDArray[np.int64]
+    """(c,2) sensor-error states of which the first is the integral of the second."""
 
 
 class Blocks(NamedTuple):
@@ -299,6 +302,7 @@ def predict(model, k, dt, part):
 def spread(model, motion, middle, dt):
     """Carry the covariance over a step of ``dt`` that `move` made."""
     propagate(model.p, model.propagation, model.coupling, motion, dt)
+    integrate_pairs(model.p, model.work.h.shape[1], model.inputs.chain, dt)
     add_noise(model.p, middle, model.inputs.white, model.inputs.drive, dt)
 
 
@@ -326,6 +330,10 @@ def move(model, k, dt, part):
         last_dt[0] = dt
         for i in range(decay.shape[0]):
             keep[i] = np.exp(-dt * decay[i])
+    chain = model.inputs.chain
+    for c in range(chain.shape[0]):
+        i, j = AUX + chain[c, 0], AUX + chain[c, 1]
+        put(state, i, get(state, i) + get(state, j) * dt)
     for i in range(decay.shape[0]):
         put(state, AUX + i, centre[i] + keep[i] * (get(state, AUX + i) - centre[i]))
     middle = mean_matrix(quat_to_matrix(q), quat_to_matrix(q_end))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from estimators.aiding import AIDINGS, Aiding, baro, body, gnss, gravity, mag
-from estimators.blocks import BLOCKS, Block, imu, sensors
+from estimators.aiding import AIDINGS, Aiding, baro, body, gnss, gravity, mag, ranges
+from estimators.blocks import BLOCKS, Block, imu, satellites, sensors
 from estimators.policies import POLICIES, Policy, adaptive, gate, robust
 from testbed.base.errors import InputError, nearest
 
-SHIPPED = (baro, body, gnss, gravity, mag, imu, sensors, adaptive, gate, robust)
+SHIPPED = (baro, body, gnss, gravity, mag, ranges, imu, satellites, sensors, adaptive, gate, robust)
 """Modules of parts; importing them makes their parts known."""
 
 

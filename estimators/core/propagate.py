@@ -189,6 +189,20 @@ def _filters_as_lanes(p, scratch, coupling, motion, dt):
             store(table, n * i + j, load(table, n * i + j) * (keep[i - NAV] * keep[j - NAV]))
 
 
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def integrate_pairs(p, n, chain, dt):
+    """P, of n states, after sensor-error state ``chain[c, 0]`` has gained ``dt`` times ``chain[c, 1]``; numbers or lanes.
+
+    Such states keep their value over a step (no ``decay``), so that this and `propagate` may follow one another.
+    """
+    for c in range(chain.shape[0]):
+        i, j = NAV + chain[c, 0], NAV + chain[c, 1]
+        for a in range(n):
+            set_entry(p, i, a, entry(p, i, a) + entry(p, j, a) * dt)
+        for a in range(n):
+            set_entry(p, a, i, entry(p, a, i) + entry(p, a, j) * dt)
+
+
 @njit(cache=True, nogil=True, _nrt=False)
 def add_noise(p, m, white, drive, dt):
     """Add the noise of one step of ``dt`` to P, ``m`` = C_nb; numbers or lanes.

@@ -44,6 +44,8 @@ class Tape(NamedTuple):
     """(predictions,9 registers,WIDTH) nine rows of Phi, see `transition`."""
     keep: Array
     """(predictions,k) the rest of its diagonal."""
+    dt: Array
+    """(predictions,) s, for states that are integrals of others."""
     rows: NDArray[np.int64]
     """(updates,) measurements of an update."""
     h: Array
@@ -126,6 +128,7 @@ def _make_tape(prepared: Prepared, line: Timeline, length: int) -> Tape:
         used=np.zeros(4, dtype=np.int64),
         phi=aligned(predictions * registers).reshape(predictions, registers, WIDTH),
         keep=np.zeros((predictions, k)),
+        dt=np.zeros(predictions),
         rows=np.zeros(updates, dtype=np.int64),
         h=np.zeros((updates, m, n)),
         gain=np.zeros((updates, m, n)),
@@ -161,6 +164,7 @@ def _predict(taped, k, dt, part):
     transition(tape.unit, tape.phi[i], model.coupling, motion, dt)
     for j in range(tape.keep.shape[1]):
         tape.keep[i, j] = model.coupling.keep[j]
+    tape.dt[i] = dt
     spread(model, motion, middle, dt)
 
 
@@ -239,6 +243,7 @@ def sweep(taped, adjoint, stop):
             prediction -= 1
             rows = tape.phi[prediction]
             phi = rows.reshape((NAV, rows.shape[0] // NAV * WIDTH))
+            _before_integration(adjoint, taped.model.inputs.chain, tape.dt[prediction])
             _before_prediction(adjoint, phi, tape.keep[prediction])
         else:
             update -= 1
@@ -301,6 +306,19 @@ def _before_prediction(adjoint, phi, keep):
         product[0, j] = total
     for j in range(n):
         lam[j] = product[0, j]
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def _before_integration(adjoint, chain, dt):
+    """lam = A' lam, info = A' info A, where A lets one state gain ``dt`` times another (see `integrate_pairs`)."""
+    lam, info, n = adjoint.lam, adjoint.info, adjoint.lam.shape[0]
+    for c in range(chain.shape[0]):
+        i, j = NAV + chain[c, 0], NAV + chain[c, 1]
+        lam[j] += dt * lam[i]
+        for a in range(n):
+            info[a, j] += dt * info[a, i]
+        for a in range(n):
+            info[j, a] += dt * info[i, a]
 
 
 @njit(cache=True, nogil=True, _nrt=False)

@@ -39,3 +39,41 @@ add_policy(
         "gate", judge, threshold, "chi-square test of the whole innovation; gate: probability that a good one passes"
     )
 )
+
+
+LOCKED_OUT, MEMORY = 0.5, 0.05
+"""Share of refusals, a moving average over some 20 measurements, from which on the filter is taken to be wrong itself."""
+
+
+def threshold_and_share(rows: int, one: float = 0.9999) -> Array:
+    """The quantile, and the share of late that was refused.
+
+    At the default one in 10,000 good measurements is lost, of ten satellites at 5 Hz one in 200 s.
+    """
+    from scipy.stats import chi2
+
+    return np.array([chi2.ppf(fraction("gate-each", one), rows), 0.0])
+
+
+def judge_each(memory, residual, s, r, h, p):
+    square = normalised_square(residual, s)
+    refused = square >= memory[0]
+    memory[1] += MEMORY * ((1.0 if refused else 0.0) - memory[1])
+    if not refused:
+        return 1.0
+    if memory[1] <= LOCKED_OUT:
+        return 0.0
+    for i in range(residual.shape[0]):
+        r[i] += (square / memory[0] - 1.0) * s[i, i]
+    return 1.0
+
+
+add_policy(
+    Policy(
+        "gate-each",
+        judge_each,
+        threshold_and_share,
+        "the same for measurements of single satellites: where most are refused, the filter is at fault, and they count with"
+        " as much noise as explains them; one: probability that a good one passes",
+    )
+)

@@ -250,7 +250,7 @@ class InitialState:
 class SensorLog:
     """Exactly what a filter may know: recordings, the sensors' specifications, and the initial state. No truth.
 
-    ``aiding`` maps a kind of sensor (``gnss``, ``mag``, ``baro``, ``odometer``, one's own) to its `Samples`. A kind is also
+    ``aiding`` maps a kind of sensor (``gnss``, ``gnss_raw``, ``mag``, ``baro``, ``odometer``, one's own) to its `Samples`. A kind is also
     an attribute, and a keyword here: ``log.gnss``, None where the log has none.
     """
 
@@ -348,9 +348,9 @@ class SensorLog:
 
 def _sensors() -> dict[str, Any]:
     """The registered sensors, whose modules build on this one."""
-    from testbed.sensors.registry import SENSORS
+    from testbed.sensors.registry import SAMPLES
 
-    return SENSORS
+    return SAMPLES
 
 
 def _plain_table(samples: Any) -> dict[str, Array]:

@@ -16,17 +16,26 @@ LEAST_GAP_S = 0.05
 
 
 def check_arrays(
-    record: Any, what: str, shapes: dict[str, tuple[int | None, ...]], minimum: int = 2, finite: bool = True
+    record: Any,
+    what: str,
+    shapes: dict[str, tuple[int | None, ...]],
+    minimum: int = 2,
+    finite: bool = True,
+    repeats: bool = False,
 ) -> None:
-    """Shapes, finite values and increasing time; None in a shape means any length. Arrays become float64."""
+    """Shapes, finite values and increasing time; None in a shape means any length. Arrays become float64.
+
+    ``repeats``: several rows may be of one time.
+    """
     t = np.ascontiguousarray(record.t, dtype=np.float64)
     object.__setattr__(record, "t", t)
     if t.ndim != 1 or len(t) < minimum:
         raise InputError(f"{what}: needs at least {minimum} samples, has shape {t.shape}")
     if not np.isfinite(t).all():
         raise InputError(f"{what}: time is not finite at sample {int(np.argmin(np.isfinite(t)))}")
-    if len(t) > 1 and not (steps := np.diff(t) > 0).all():
-        k = int(np.argmin(steps)) + 1
+    rising = np.diff(t) >= 0 if repeats else np.diff(t) > 0
+    if not rising.all():
+        k = int(np.argmin(rising)) + 1
         raise InputError(f"{what}: time must increase, but sample {k} is at {t[k]:.6g} s after {t[k - 1]:.6g} s")
     for name, shape in shapes.items():
         values = np.ascontiguousarray(getattr(record, name), dtype=np.float64)

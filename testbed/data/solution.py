@@ -53,9 +53,9 @@ class Innovations:
     rejected: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        check_arrays(
-            self, "NavSolution.innovations", {"value": (None,), "covariance": (None, None)}, minimum=0, finite=False
-        )
+        shapes: dict[str, tuple[int | None, ...]] = {"value": (None,), "covariance": (None, None)}
+        # satellites of one epoch are measurements of one time
+        check_arrays(self, "NavSolution.innovations", shapes, minimum=0, finite=False, repeats=True)
         m = self.value.shape[1]
         if self.covariance.shape[1:] != (m, m):
             raise InputError(

@@ -74,6 +74,58 @@ class ImuSpec:
 
 
 @dataclass(frozen=True)
+class SignalSpec:
+    """What a receiver makes of satellite signals; C/N0 in dB-Hz. Sigmas of zero are the ideal receiver."""
+
+    cn0_zenith: float = 47.0
+    """C/N0 of an open signal along the antenna's axis."""
+    pattern_drop: float = 15.0
+    """By which the antenna's gain has fallen at 90 degrees from its axis, dB."""
+    mask: float = math.radians(5.0)
+    """Satellites below this elevation are not used, rad."""
+    dll_bandwidth_hz: float = 0.0
+    """Of the code loop, one-sided; 0: no code noise."""
+    correlator_chips: float = 0.5
+    """Early to late."""
+    rate_sigma: float = 0.0
+    """White noise of a range rate at 45 dB-Hz, m/s; it grows as the square root of the noise."""
+    multipath_zenith: float = 0.0
+    """Gauss-Markov code multipath far above the horizon, m."""
+    multipath_horizon: float = 0.0
+    """What is added at the horizon, m; it falls by e every ``multipath_angle``."""
+    multipath_angle: float = math.radians(10.0)
+    """rad"""
+    multipath_time_s: float = 25.0
+    clock_h0_s: float = 0.0
+    """White frequency noise of the oscillator, the h0 of its Allan variance, s."""
+    clock_hm2_ps: float = 0.0
+    """Random walk of its frequency, h-2, 1/s."""
+
+    def clock_densities(self) -> tuple[float, float]:
+        """Spectral densities of clock noise (m²/s) and of its drift's (m²/s³): Brown and Hwang, 4th ed., section 9.3."""
+        c = 299792458.0
+        return c * c * self.clock_h0_s / 2.0, c * c * 2.0 * math.pi**2 * self.clock_hm2_ps
+
+
+@dataclass(frozen=True)
+class SpaceSpec:
+    """What is known of the errors that signals arrive with, 1 sigma: for filters that use them."""
+
+    gps_sigma: float = 0.0
+    """Orbit and clock of a GPS satellite, m."""
+    gps_time_s: float = 36000.0
+    galileo_sigma: float = 0.0
+    """m"""
+    galileo_time_s: float = 5400.0
+    iono_sigma: float = 0.0
+    """At zenith, what the broadcast model leaves, m."""
+    iono_time_s: float = 1800.0
+    tropo_sigma: float = 0.0
+    """At zenith, m."""
+    tropo_time_s: float = 1800.0
+
+
+@dataclass(frozen=True)
 class GnssSpec:
     """GNSS receiver that gives position and velocity in n; sigmas are per axis."""
 
@@ -94,6 +146,9 @@ class GnssSpec:
     """From the IMU to the antenna, m, in b."""
     latency_s: float = 0.0
     """A fix is stamped this long after the moment that it describes."""
+    signals: SignalSpec = field(default_factory=SignalSpec)
+    """Of a receiver that is simulated down to the satellites."""
+    space: SpaceSpec = field(default_factory=SpaceSpec)
 
 
 @dataclass(frozen=True)

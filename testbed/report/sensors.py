@@ -12,7 +12,7 @@ from typing import Any
 from testbed.report.labels import MISSING, number
 from testbed.report.results import Result
 from testbed.report.tables import Cell, Column, Table
-from testbed.sensors.registry import SENSORS
+from testbed.sensors.registry import SAMPLES
 
 DEGREE = math.degrees(1.0)
 MILLI_G = 1e3 / 9.80665
@@ -40,7 +40,7 @@ def sensor_tables(result: Result) -> list[Table]:
     """One table per sensor that the run had."""
     tables = []
     for sensor, spec in result.info.get("sensors", {}).items():
-        known = SENSORS.get(sensor)
+        known = SAMPLES.get(sensor)
         kind = "Inertial sensors" if sensor == "imu" else known.title if known else sensor
         title = ", ".join(filter(None, (kind, str(spec.get("name", "")))))
         rate = [("Rate", [Cell(f"{number(spec['rate_hz'])} Hz")])] if "rate_hz" in spec else []

@@ -49,10 +49,11 @@ def sense_flight(
 
     draws = Draws(seed, run, vary)
     imu, bias, constants = sense_imu(sensors.imu, motion_of(trajectory, sensors.imu.rate_hz), draws)
-    aiding = {}
+    aiding: dict[str, Any] = {}
     for kind, sensor in SENSORS.items():
-        if (config := getattr(sensors, kind)) is not None:
-            aiding[kind], drawn = sensor.sense(config, trajectory, draws, imu.spec.lever_arm_b)
+        if sensor.sense is not None and (config := getattr(sensors, kind)) is not None:
+            made, drawn = sensor.sense(config, trajectory, draws, imu.spec.lever_arm_b)
+            aiding |= made if isinstance(made, dict) else {kind: made}
             constants |= drawn
     start = draw_initial(initial, trajectory, imu.spec, {name: values[0] for name, values in bias.items()}, draws)
     log = SensorLog(imu, start, name=trajectory.name, aiding=aiding)

@@ -9,13 +9,13 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from testbed.base.errors import InputError, nearest, shown
 from testbed.base.schema import read_toml
-from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
+from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 
 SHIPPED = Path(__file__).with_name("catalog.toml")
 SPECS: dict[str, type] = {"imu": ImuSpec, "gnss": GnssSpec, "mag": MagSpec, "baro": BaroSpec}
@@ -23,11 +23,35 @@ _FIGURES: dict[str, Mapping[str, tuple[str, float]]] = {}
 _ENTRIES: dict[str, Mapping[str, Mapping[str, Any]]] = {}
 REMARKS = ("source", "assumed")
 """Keys of an entry that are no figures."""
-POSITIVE = ("rate_hz", "correlation_time_s", "markov_time_s", "bandwidth_hz", "range")
+POSITIVE = (
+    "rate_hz",
+    "correlation_time_s",
+    "markov_time_s",
+    "bandwidth_hz",
+    "range",
+    "correlator_chips",
+    "multipath_angle",
+    "multipath_time_s",
+)
 """Figures that must not be zero."""
 HIGHEST_RATE_HZ = 10_000.0
 """Ten times the highest rate of a flight: a sensor that is faster records nothing new."""
 _DEG = math.pi / 180.0
+SIGNALS = {
+    "cn0_zenith_dbhz": ("signals.cn0_zenith", 1.0),
+    "pattern_drop_db": ("signals.pattern_drop", 1.0),
+    "mask_deg": ("signals.mask", _DEG),
+    "dll_bandwidth_hz": ("signals.dll_bandwidth_hz", 1.0),
+    "correlator_chips": ("signals.correlator_chips", 1.0),
+    "range_rate_sigma_mps": ("signals.rate_sigma", 1.0),
+    "multipath_zenith_m": ("signals.multipath_zenith", 1.0),
+    "multipath_horizon_m": ("signals.multipath_horizon", 1.0),
+    "multipath_angle_deg": ("signals.multipath_angle", _DEG),
+    "multipath_time_s": ("signals.multipath_time_s", 1.0),
+    "clock_h0_s": ("signals.clock_h0_s", 1.0),
+    "clock_hm2_ps": ("signals.clock_hm2_ps", 1.0),
+}
+"""Keys of a GNSS receiver that count where it is simulated down to the satellites."""
 _MGAUSS = 0.1  # µT
 
 
@@ -76,7 +100,7 @@ def specification(kind: str, model: str, overrides: Mapping[str, Any] | None = N
     for path, value in values.items():
         head, _, tail = path.partition(".")
         spec = replace(spec, **{head: replace(getattr(spec, head), **{tail: value}) if tail else value})
-    for triad in (f.name for f in fields(spec) if is_dataclass(getattr(spec, f.name))):
+    for triad in (f.name for f in fields(spec) if isinstance(getattr(spec, f.name), TriadSpec)):
         if getattr(spec, triad).nonlinearity and math.isinf(getattr(spec, triad).range):
             raise InputError(
                 f"[{kind}.{model}]: {triad}_nonlinearity_pctfs is relative to the range: give {triad}_range_*"
@@ -100,6 +124,8 @@ def keys(kind: str) -> dict[str, tuple[str, float]]:
     factors = {"soft_iron_pct": 0.01, "misalignment_deg": _DEG}
     kept = {"rate_hz", "markov_time_s", "latency_s"} & {f.name for f in fields(SPECS[kind])}
     out = {key: (key if key in kept else key.rpartition("_")[0], factors.get(key, 1.0)) for key in plain}
+    if kind == "gnss":
+        out |= SIGNALS
     if kind == "mag":
         units = {"ut": 1.0, "mgauss": _MGAUSS, "gauss": 1e3 * _MGAUSS, "nt": 1e-3}
         out |= _united(units, noise="noise_sigma", turn_on_bias="turn_on_bias", range="range", resolution="resolution")

@@ -15,6 +15,7 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_v
 from testbed.base.errors import InputError, nearest
 from testbed.base.schema import Table
 from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
+from testbed.gnss.config import SatellitesConfig
 from testbed.sensors import catalog
 
 Positive = Annotated[float, Field(gt=0)]
@@ -195,6 +196,29 @@ class GnssConfig(SensorTable):
     random_outages: RandomOutages | None = None
     outliers: OutlierBursts | None = None
     degraded: list[Degraded] = Field(default_factory=list)
+    mode: Literal["errors", "satellites"] = Field(
+        default="errors",
+        description="errors: noise on the true position; satellites: pseudoranges, of which the receiver makes its fixes",
+    )
+    satellites: SatellitesConfig | None = Field(default=None, description='The sky of mode = "satellites"')
+
+    @model_validator(mode="after")
+    def _keys_of_the_mode(self) -> GnssConfig:
+        """A key of the other mode would be ignored."""
+        extra = self.model_extra or {}
+        if self.mode == "errors":
+            idle = [key for key in extra if key in catalog.SIGNALS]
+            idle += ["satellites"] if self.satellites is not None else []
+            if idle:
+                raise ValueError(f'{idle[0]} has an effect only with mode = "satellites"')
+            return self
+        idle = [key for key in extra if key not in catalog.SIGNALS and key not in ("latency_s", "rate_hz")]
+        idle += ["outliers"] if self.outliers is not None else []
+        idle += ["degraded"] if self.degraded else []
+        if idle:
+            instead = "; satellites.faults are wrong pseudoranges" if idle[0] == "outliers" else ""
+            raise ValueError(f'{idle[0]} has no effect with mode = "satellites"{instead}')
+        return self
 
     @model_validator(mode="after")
     def _outages_ordered(self) -> GnssConfig:

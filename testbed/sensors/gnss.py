@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
 from testbed.data.columns import columns, stack
-from testbed.data.records import Array, GnssFixes, Trajectory
+from testbed.data.records import Array, GnssFixes, Samples, Trajectory
 from testbed.data.specs import GnssSpec, Vector
 from testbed.sensors.config import GnssConfig, OutlierBursts, RandomOutages
 from testbed.sensors.draws import Draws
@@ -27,11 +28,16 @@ _SNAP_S = 1e-9
 
 def sense_gnss(
     config: GnssConfig, trajectory: Trajectory, draws: Draws, arm_b: Vector
-) -> tuple[GnssFixes, dict[str, Any]]:
-    """The fixes, and what was drawn. Every fix draws its errors whether it is lost or not."""
+) -> tuple[GnssFixes | dict[str, Samples], dict[str, Any]]:
+    """The fixes, and what was drawn. Every fix draws its errors whether it is lost or not.
+
+    Down to the satellites: fixes and observations by their kinds.
+    """
     from testbed.physics.earth import metres_per_radian
     from testbed.physics.interpolate import point_state
 
+    if config.mode == "satellites":
+        return _sense_satellites(config, trajectory, draws, arm_b)
     spec = config.spec()
     outages = outage_windows(config, trajectory, draws)
     moments = fix_moments(spec, config.time_offset_s, trajectory)
@@ -58,6 +64,26 @@ def sense_gnss(
     if config.degraded:
         fixes = GnssFixes(**{**vars(fixes), "std": fixes.measurement_std() * reported[seen, None]})
     return fixes, constants
+
+
+def _sense_satellites(
+    config: GnssConfig, trajectory: Trajectory, draws: Draws, arm_b: Vector
+) -> tuple[dict[str, Samples], dict[str, Any]]:
+    """Observations, and the fixes that the receiver makes of them alone."""
+    from testbed.gnss.config import SatellitesConfig
+    from testbed.gnss.sense import Antenna, fixes_of, sense_satellites, signals_of, space_of
+
+    sky = config.satellites or SatellitesConfig()
+    spec = config.spec()
+    spec = replace(spec, space=space_of(sky), signals=signals_of(sky, spec.signals))
+    outages = outage_windows(config, trajectory, draws)
+    moments = fix_moments(spec, config.time_offset_s, trajectory)
+    stamps = moments + spec.latency_s
+    silent = _inside(outages, stamps) | (stamps < trajectory.t[0] + config.start_up_s)
+    antenna = Antenna(trajectory, np.array(arm_b) + np.array(spec.lever_arm_b), moments, silent)
+    observations, drawn = sense_satellites(sky, spec, antenna, draws)
+    fixes, observations, _ = fixes_of(observations, outages, sky.false_alarm, sky.accuracy_scale)
+    return {"gnss": fixes, "gnss_raw": observations}, drawn
 
 
 def fix_moments(spec: GnssSpec, offset_s: float, trajectory: Trajectory) -> Array:

@@ -33,7 +33,10 @@ def _found() -> dict[str, Sensor]:
     return {sensor.kind: sensor for sensor in sorted(sensors, key=lambda sensor: (sensor.rank, sensor.kind))}
 
 
-SENSORS = _found()
+SAMPLES = _found()
+"""All kinds of samples that a log may have."""
+SENSORS = {kind: sensor for kind, sensor in SAMPLES.items() if sensor.config is not None}
+"""Those that have a section of the scenario."""
 for _sensor in SENSORS.values():
     catalog.declare(_sensor.kind, _sensor.spec, _sensor.figures, _sensor.catalogue)
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Sense(Protocol):
-    """A pure function: the samples, and what was drawn (scored, never told to a filter).
+    """A pure function: the samples (or several kinds of them, by kind), and what was drawn (scored, never told to a filter).
 
     ``arm_b`` leads from the reference point of the trajectory to the IMU, from which lever arms count; m, in b.
     """
@@ -57,15 +57,16 @@ class Sensor:
     ``kind`` names the section ``[sensors.KIND]``, ``log.KIND`` and the catalogue's tables. ``spec`` is its specification,
     a dataclass in SI units whose defaults are the ideal sensor; ``figures`` maps each catalogue key, with the unit at its
     end, to the field and the factor to SI; ``catalogue`` holds entries beside those of ``catalog.toml``. ``samples`` is a
-    subclass of `testbed.data.records.Samples`, ``rows`` names the specification's fields in the report: text, factor, unit.
+    subclass of `testbed.data.records.Samples`; without ``config`` and ``sense`` they are made by another sensor (``gnss_raw``
+    by ``gnss``). ``rows`` names the specification's fields in the report: text, factor, unit.
     """
 
     kind: str
     title: str
     spec: type
-    config: type[SensorTable]
+    config: type[SensorTable] | None
     samples: type
-    sense: Sense
+    sense: Sense | None
     columns: tuple[Column, ...]
     rows: Mapping[str, tuple[str, float, str]]
     figures: Mapping[str, tuple[str, float]] = field(default_factory=dict)

@@ -30,7 +30,12 @@ third derivatives of rotated vectors below 1e-8 / 6 of their length."""
 AUX_STEP = 1e-4
 SENSORS = {
     "imu": {"model": "ADIS16448"},
-    "gnss": {"model": "Garmin16x", "lever_arm_m": ARM},
+    "gnss": {
+        "model": "module-class",
+        "mode": "satellites",
+        "lever_arm_m": ARM,
+        "satellites": {"systems": ["gps", "galileo"]},
+    },
     "mag": {"model": "ADIS16448"},
     "baro": {"model": "ADIS16448"},
     "odometer": {"model": "car", "lever_arm_m": ARM},
@@ -214,7 +219,8 @@ def test_block_in_the_loop(block):
         end, model.state[:] = model.state.copy(), start
         return end
 
-    for i in range(first, first + len(BLOCKS[block].states)):
+    own = next(made for made in prepared().blocks if made.name == block)
+    for i in range(first, first + len(own.states)):
         unit = np.eye(n)[i]
         model.p[:, :n] = np.outer(unit, unit)
         step(np.zeros(n))

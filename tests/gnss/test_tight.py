@@ -1,0 +1,157 @@
+"""`tight-kf`: the truth from perfect sensors, honest sigmas, what two and three satellites are worth, wrong satellites.
+
+Full sizes of the acceptance (100 runs) run with TESTBED_GNSS=1; a smaller number else, with the wider bounds of fewer runs.
+"""
+
+import os
+
+import numpy as np
+import pytest
+from analytic_flight import analytic_flight
+from consistency import errors_of as fifteen_errors
+from outages import WHITE, errors_of, record
+from scipy.stats import chi2
+
+from estimators.methods.indirect_kf import IndirectKf
+from estimators.methods.tight_kf import TightKf
+from testbed.base.errors import InputError
+from testbed.base.schema import validate
+from testbed.data.observations import name_of
+from testbed.data.registry import list_estimators, make_estimator
+from testbed.sensors import sense_flight
+from testbed.sensors.config import InitialConfig
+from testbed.sensors.registry import SensorsConfig
+
+FULL = "TESTBED_GNSS" in os.environ
+RUNS = 100 if FULL else 10
+
+
+def test_perfect_sensors_give_the_truth():
+    """1 cm over a minute of 4 g and 1 rad/s with a lever arm: the filter's equations are those of the signals. What is left
+    is the linearisation of that motion over 10 ms."""
+    flight = analytic_flight(60.0, 100.0)
+    off = [*WHITE, "code_noise", "rate_noise", "fading", "clock"]
+    gnss = {
+        "model": "module-class",
+        "mode": "satellites",
+        "lever_arm_m": [1.0, 0.5, -0.3],
+        "satellites": {"disable": off},
+    }
+    sensors = validate(SensorsConfig, {"imu": {"model": "ideal"}, "gnss": gnss}, "s")
+    log, _ = sense_flight(sensors, InitialConfig(perfect=True), flight, 1)
+    for slow in ("white", "states"):
+        assert np.abs(errors_of(TightKf(slow_errors=slow, gate=False).run(log), flight)).max() < 0.01, slow
+
+
+def test_sigmas_are_honest_on_white_errors():
+    """Position NEES (3) and NEES of all 17 states, means of the runs at each second, in the central 99 % of chi-square over
+    so many runs at 90 % of the times; the mean NIS of a scalar within 3 %."""
+    place, whole, nis = [], [], []
+    for run in range(RUNS):
+        log, truth, drawn = record(run, 120.0 if FULL else 40.0)
+        solution = TightKf(slow_errors="white", gate=False).run(log)
+        k = np.searchsorted(solution.t, solution.covariance_t - 1e-6)
+        epoch = np.round(solution.covariance_t * 5.0).astype(int) - 1
+        clock = np.column_stack(
+            [
+                solution.estimates[f"gnss_clock_{name}"][k] - drawn.constants[f"gnss_clock_{name}"][epoch]
+                for name in ("bias_m", "drift_mps")
+            ]
+        )
+        e = np.hstack([fifteen_errors(solution, truth, drawn), clock])
+        p = solution.covariance
+        place.append(np.einsum("ki,kij,kj->k", e[:, :3], np.linalg.inv(p[:, :3, :3]), e[:, :3]))
+        whole.append(np.einsum("ki,kij,kj->k", e, np.linalg.inv(p), e))
+        # the first epoch's ranges have set the clock's mean
+        nis.append([np.mean((nu.value**2)[50:, 0] / nu.covariance[50:, 0, 0]) for nu in solution.innovations.values()])
+    for values, dof in ((place, 3), (whole, 17)):
+        low, high = chi2.ppf([0.005, 0.995], RUNS * dof) / RUNS
+        inside = (np.mean(values, axis=0) > low) & (np.mean(values, axis=0) < high)
+        assert np.mean(inside) >= 0.9, (dof, low, high, np.mean(values))
+    assert np.mean(nis, axis=0) == pytest.approx([1.0, 1.0], abs=0.03)
+
+
+def final_errors(runs, filters, keep, **keys):
+    """(filters, runs) horizontal error (m) at the end of a minute with ``keep`` satellites."""
+    out = np.empty((len(filters), runs))
+    for run in range(runs):
+        log, truth, _ = record(run, 150.0, keep=keep, **keys)
+        for k, estimator in enumerate(filters):
+            out[k, run] = np.hypot(*errors_of(estimator.run(log), truth)[-1, :2])
+    return out
+
+
+@pytest.mark.parametrize(("keep", "most"), [(3, 0.25), (2, 0.75)])
+def test_a_few_satellites_are_worth_something(keep, most):
+    """A minute with three or two satellites and a TCXO: rms horizontal error over that of the loosely coupled filter."""
+    loose, tight = final_errors(RUNS, (IndirectKf(), TightKf(slow_errors="white")), keep)
+    ratio = np.sqrt(np.mean(tight**2) / np.mean(loose**2))
+    # ten runs spread a ratio of rms values by a quarter
+    assert ratio <= (most if FULL else 1.25 * most)
+
+
+def test_realistic_errors_are_counted():
+    """All errors on: mean position NEES of 3 degrees in 2 to 4.5 with the slow errors as states; ten times more without."""
+    nees = {"states": [], "white": []}
+    for run in range(RUNS):
+        log, truth, _ = record(run, 100.0, white=False)
+        for slow, values in nees.items():
+            solution = TightKf(slow_errors=slow).run(log)
+            k = np.searchsorted(solution.t, solution.covariance_t - 1e-6)
+            e, p = errors_of(solution, truth)[k], solution.covariance[:, :3, :3]
+            values.append(np.mean(np.einsum("ki,kij,kj->k", e, np.linalg.inv(p), e)[20:]))
+    # a run's NEES hardly changes in it: the mean of so many of 3 degrees
+    low, high = (2.0, 4.5) if FULL else chi2.ppf([0.001, 0.999], 3 * RUNS) / RUNS
+    assert low <= np.mean(nees["states"]) <= high
+    assert np.mean(nees["white"]) > 10.0 * np.mean(nees["states"])
+
+
+def test_a_wrong_satellite_is_refused():
+    """A step of 30 m on one: its pseudoranges are refused, those of the others are not."""
+    found, others = [], []
+    for run in range(RUNS):
+        clean, _, _ = record(run, 40.0, white=False)
+        raw = clean.gnss_raw
+        # one that is received in the whole second
+        code = raw.sv[np.abs(raw.t - 30.5) < 0.6][np.argmax(raw.elevation[np.abs(raw.t - 30.5) < 0.6])]
+        fault = {"faults": [{"sv": name_of(code), "start_s": 30.0, "end_s": 31.0, "step_m": 30.0}]}
+        log, _, _ = record(run, 40.0, white=False, satellites=fault)
+        nu = TightKf().run(log).innovations["pseudorange"]
+        at = (nu.t >= 30.0) & (nu.t < 31.0)
+        own = log.gnss_raw.sv[: len(nu.t)] == code
+        found.append(np.mean(nu.rejected[at & own]))
+        others.append(np.mean(nu.rejected[at & ~own]))
+    assert np.mean(found) >= 0.99 and np.mean(others) < 0.01
+
+
+def test_two_systems_have_a_clock_each():
+    log, truth, _ = record(1, 40.0, white=False, satellites={"systems": ["gps", "galileo"]})
+    solution = TightKf().run(log)
+    assert {"gnss_clock_bias_m", "gnss_isb_m", "gnss_iono_m"} <= set(solution.states)
+    assert sum(name.startswith("gnss_range_E") for name in solution.states) > 4
+    assert np.abs(solution.estimates["gnss_isb_m"][-1]) < 5.0
+    assert np.abs(errors_of(solution, truth)[-1]).max() < 15.0
+    with pytest.raises(InputError, match="whose clocks differ: add the block 'gnss-isb'"):
+        make_estimator("eskf", states=["gnss-clock"], aiding=["pseudorange"]).run(log)
+
+
+def test_smoothing_agrees_with_the_filter_at_the_end():
+    """At its last sample the smoother knows what the filter knows; before, it knows more."""
+    log, _, _ = record(1, 30.0)
+    forward, both = (TightKf(slow_errors="white", smooth=smooth).run(log) for smooth in (False, True))
+    assert np.allclose(both.std[-1], forward.std[-1], rtol=1e-6)
+    assert (both.std[1000] < forward.std[1000] * (1.0 + 1e-9)).all()
+    drift = forward.states.index("gnss_clock_drift_mps")
+    assert both.std[1000, drift] < 0.9 * forward.std[1000, drift]
+
+
+def test_mistakes_are_told():
+    log, _, _ = record(1, 30.0)
+    fixes_only = type(log)(log.imu, log.initial, log.gnss)
+    with pytest.raises(InputError, match=r'set \[sensors.gnss\] mode = "satellites"'):
+        TightKf().run(fixes_only)
+    with pytest.raises(InputError, match="slow_errors = 'none', must be one of"):
+        TightKf(slow_errors="none")
+    with pytest.raises(InputError, match="needs the block 'gnss-clock'"):
+        make_estimator("eskf", aiding=["pseudorange"])
+    assert "tight-kf" in list_estimators()
