@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from testbed.flight.config import FlightConfig
     from testbed.flight.drive import DriveConfig
     from testbed.flight.own import TrajectoryConfig
+
+KEPT = ("extra", "phases", "name")
+"""Of a trajectory that is cut: what is no array of rows."""
 
 
 @contextmanager
@@ -139,7 +142,12 @@ def windows_of(scenario: Scenario, trajectory: Trajectory, log: SensorLog | None
 
 
 def truth_at_imu(trajectory: Trajectory, log: SensorLog) -> Trajectory:
-    """The truth of the point that the estimators navigate: where the IMU sits, which ``lever_arm_m`` may set apart."""
+    """The truth of what the estimators navigate: the point where the IMU sits, which ``lever_arm_m`` may set apart, from the
+    time on at which they start, which an alignment may delay."""
+    if (first := int(np.searchsorted(trajectory.t, log.initial.t - 1e-9))) > 0:
+        rows = {f.name: getattr(trajectory, f.name)[first:] for f in fields(trajectory) if f.name not in KEPT}
+        extra = {name: values[first:] for name, values in trajectory.extra.items()}
+        trajectory = replace(trajectory, **rows, extra=extra)
     arm = np.array(log.imu.spec.lever_arm_b)
     if not arm.any():
         return trajectory

@@ -1,15 +1,16 @@
-"""Motion scripts of a vehicle on the ground, ``[flight] type = "drive"``: what JSBSim does not fly, as pure kinematics.
+"""Motion scripts of car, rover and pedestrian, ``[flight] type = "drive"``: what JSBSim does not fly, as pure kinematics.
 
-The middle of the rear axle moves along the track and the body looks along it: no slip, no suspension, level across. Every
-change of speed, heading or slope follows the same smooth step, so that acceleration and its rate are continuous. Truth
-comes from the splines of `testbed.flight.truth`, as for flights. Angles in degrees in the keys; SI units and radians inside.
+The middle of the rear axle moves along the track and the body looks along it: no side slip, no suspension, level across.
+Every change of speed, heading or slope follows the same smooth step, so that acceleration and its rate are continuous. A
+walker's trunk rises and falls at every step and sways at every other (`Gait`); a wheel may slip as it pulls. Truth comes
+from the splines of `testbed.flight.truth`, as for flights. Angles in degrees in the keys; SI units and radians inside.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 Speed = Annotated[float, Field(gt=0, le=100)]
 STANDSTILL = 1e-9
 """m/s: below it a vehicle stands."""
+FULL_STRIDE_MPS = 1.0
+"""Speed from which on a walker's steps are of full height."""
 HILL_EDGE = 0.2
 """Share of a stretch with a grade over which the slope builds up, and again over which it goes."""
 
@@ -81,7 +84,30 @@ class Stop(_Part):
     acceleration_mps2: float = Field(default=2.0, gt=0, le=20, description="Largest deceleration, m/s²")
 
 
-AnyPart = Annotated[StraightRoad | Bend | SpeedChange | Stop, Field(discriminator="type")]
+class Spin(_Part):
+    """Turn on the spot, as rovers with a wheel on each side and walkers do; needs a standstill."""
+
+    type: Literal["spin"]
+    heading_change_deg: float = Field(gt=0, le=36_000, description="By how much, °")
+    rate_dps: float = Field(default=60.0, gt=0, le=360, description="Largest rate, in the middle of the turn, °/s")
+    direction: Literal["left", "right"] = Field(default="right", description="Side")
+
+
+AnyPart = Annotated[StraightRoad | Bend | SpeedChange | Stop | Spin, Field(discriminator="type")]
+
+
+class Gait(Table):
+    """``[flight.gait]``: how the trunk of a walker moves about its way, while it walks.
+
+    Defaults: an adult at 1.4 m/s takes 1.9 steps per second, and the trunk rises and falls by 4 cm and sways by as much
+    (Zijlstra and Hof, Gait and Posture 18, 2003); it nods and rolls by about 2 degrees.
+    """
+
+    step_rate_hz: float = Field(default=1.9, gt=0.2, le=5, description="Steps per second, Hz")
+    bounce_m: float = Field(default=0.02, ge=0, le=0.2, description="Amplitude up and down, once per step, m")
+    sway_m: float = Field(default=0.02, ge=0, le=0.2, description="Amplitude to the sides, once per two steps, m")
+    pitch_deg: float = Field(default=2.0, ge=0, le=20, description="Amplitude of the nod, once per step, °")
+    roll_deg: float = Field(default=2.0, ge=0, le=20, description="Amplitude of the roll, once per two steps, °")
 
 
 class DriveConfig(Table):
@@ -92,6 +118,18 @@ class DriveConfig(Table):
     rate_hz: float = Field(default=100.0, ge=10, le=1000, description="Rows of the truth per second, Hz")
     initial: DriveStart = DriveStart()
     manoeuvres: list[AnyPart] = Field(min_length=1, description="What it does, one after the other")
+    laps: int = Field(default=1, ge=1, le=1000, description="How often it does all that")
+    wheelbase_m: float = Field(
+        default=2.7, gt=0, le=20, description="From axle to axle, for the steering angle; a middle-class car's, m"
+    )
+    slip_pct: float = Field(
+        default=0.0,
+        ge=-20,
+        le=20,
+        description="By how much the wheels turn too fast at an acceleration of 1 m/s² (too slow when braking), %; "
+        "0.3 on dry asphalt, some per cent on gravel",
+    )
+    gait: Gait | None = Field(default=None, description="Of a walker; wheels have none")
 
 
 @dataclass(frozen=True)
@@ -115,9 +153,8 @@ def drive(config: DriveConfig) -> Trajectory:
     t = np.arange(math.floor(ends[-1] * config.rate_hz + 1e-6) + 1) / config.rate_hz
     if len(t) < 4:
         raise FlightError(f"a drive of {ends[-1]:.3g} s is too short")
-    speed, heading, slope = _motion(legs, ends, t)
-    level = speed * np.cos(slope)
-    v_n = np.column_stack([level * np.cos(heading), level * np.sin(heading), -speed * np.sin(slope)])
+    motion = _motion(legs, ends, t)
+    v_n, euler = _along_the_track(motion) if config.gait is None else _walk(motion, t, config.gait)
     start = config.initial
     place = (math.radians(start.lat_deg), math.radians(start.lon_deg), start.alt_m)
     phases: list[Phase] = []
@@ -126,16 +163,29 @@ def drive(config: DriveConfig) -> Trajectory:
         if phases and phases[-1].name == leg.name and leg.speed == (0.0, 0.0):  # a stop brakes, then stands
             begin = phases.pop().start
         phases.append(Phase(leg.name, begin, float(min(end, t[-1]))))
-    euler = np.column_stack([np.zeros(len(t)), slope, heading])
-    return make_trajectory(v_n, euler, config.rate_hz, place, {"speed_mps": speed}, tuple(phases), config.vehicle)
+    extra = {"speed_mps": motion.speed}
+    if config.gait is None:
+        # Ackermann: the tangent of the steering angle is the wheelbase over the radius
+        moving = motion.speed > STANDSTILL
+        curvature = np.divide(motion.turn_rate, motion.speed, out=np.zeros(len(t)), where=moving)
+        slip = 0.01 * config.slip_pct * motion.acceleration
+        extra |= {
+            "wheel_slip": slip,
+            "wheel_speed_mps": motion.speed * (1.0 + slip),
+            "steering_deg": np.degrees(np.arctan(config.wheelbase_m * curvature)),
+        }
+    return make_trajectory(v_n, euler, config.rate_hz, place, extra, tuple(phases), config.vehicle)
 
 
 def plan(config: DriveConfig) -> list[Leg]:
     """The manoeuvres as legs. Raises FlightError that names the manoeuvre which cannot be driven."""
     speed, heading = config.initial.speed_mps, math.radians(config.initial.heading_deg)
     legs: list[Leg] = []
-    for number, part in enumerate(config.manoeuvres, 1):
-        place = f"manoeuvre {number} of {len(config.manoeuvres)} ({part.type})"
+    for k, part in enumerate(config.manoeuvres * config.laps):
+        lap, number = divmod(k, len(config.manoeuvres))
+        place = f"manoeuvre {number + 1} of {len(config.manoeuvres)} ({part.type})" + (
+            f" in lap {lap + 1}" if lap else ""
+        )
         if isinstance(part, SpeedChange | Stop):
             wanted = part.to_speed_mps if isinstance(part, SpeedChange) else 0.0
             # the smooth step is steepest in its middle, twice its mean: 2 dv / T = the largest acceleration
@@ -151,11 +201,17 @@ def plan(config: DriveConfig) -> list[Leg]:
             slope = math.atan(0.01 * part.grade_pct)
             legs.append(Leg(part.label, part.duration_s, (speed, speed), (heading, heading), slope))
             continue
-        if speed <= STANDSTILL:
-            raise FlightError(f"{place}: a vehicle that stands cannot turn; accelerate first")
         change = math.radians(part.heading_change_deg)
         end = heading + math.copysign(change, 1.0 if part.direction == "right" else -1.0)
-        legs.append(Leg(part.label, 2.0 * change * part.radius_m / speed, (speed, speed), (heading, end)))
+        if isinstance(part, Spin):
+            if speed > STANDSTILL:
+                raise FlightError(f"{place}: a spin begins and ends at a standstill; stop first")
+            needed = 2.0 * change / math.radians(part.rate_dps)
+        elif speed <= STANDSTILL:
+            raise FlightError(f"{place}: a vehicle that stands cannot turn; accelerate first")
+        else:
+            needed = 2.0 * change * part.radius_m / speed
+        legs.append(Leg(part.label, needed, (speed, speed), (heading, end)))
         heading = end
     if not legs:
         raise FlightError("the drive does nothing: its manoeuvres change neither speed nor place, and take no time")
@@ -168,16 +224,55 @@ def smooth_step(x: Array) -> Array:
     return x - np.sin(2.0 * np.pi * x) / (2.0 * np.pi)
 
 
-def _motion(legs: list[Leg], ends: Array, t: Array) -> tuple[Array, Array, Array]:
-    """Speed (m/s), heading and path angle (rad) at the times ``t``, all (N,)."""
-    speed, heading, slope = np.empty(len(t)), np.empty(len(t)), np.zeros(len(t))
+def smooth_rate(x: Array) -> Array:
+    """Derivative of `smooth_step`."""
+    return 1.0 - np.cos(2.0 * np.pi * np.clip(x, 0.0, 1.0))
+
+
+class Motion(NamedTuple):
+    """At the rows of the truth, all (N,): speed (m/s), heading, path angle (rad), and the rates of the first two."""
+
+    speed: Array
+    heading: Array
+    slope: Array
+    acceleration: Array
+    turn_rate: Array
+
+
+def _motion(legs: list[Leg], ends: Array, t: Array) -> Motion:
+    out = Motion(*(np.zeros(len(t)) for _ in Motion._fields))
     which = np.minimum(np.searchsorted(ends, t, side="right"), len(legs) - 1)
     for k, leg in enumerate(legs):
-        rows = which == k
+        rows = slice(*np.searchsorted(which, [k, k + 1]))
         x = (t[rows] - (ends[k] - leg.duration)) / leg.duration
-        step = smooth_step(x)
-        speed[rows] = leg.speed[0] + step * (leg.speed[1] - leg.speed[0])
-        heading[rows] = leg.heading[0] + step * (leg.heading[1] - leg.heading[0])
+        step, rate = smooth_step(x), smooth_rate(x) / leg.duration
+        out.speed[rows] = leg.speed[0] + step * (leg.speed[1] - leg.speed[0])
+        out.acceleration[rows] = rate * (leg.speed[1] - leg.speed[0])
+        out.heading[rows] = leg.heading[0] + step * (leg.heading[1] - leg.heading[0])
+        out.turn_rate[rows] = rate * (leg.heading[1] - leg.heading[0])
         if leg.slope:
-            slope[rows] = leg.slope * smooth_step(x / HILL_EDGE) * smooth_step((1.0 - x) / HILL_EDGE)
-    return speed, heading, slope
+            out.slope[rows] = leg.slope * smooth_step(x / HILL_EDGE) * smooth_step((1.0 - x) / HILL_EDGE)
+    return out
+
+
+def _along_the_track(motion: Motion) -> tuple[Array, Array]:
+    """Velocity in n (N,3) and Euler angles (N,3) of a body that looks along its way."""
+    level = motion.speed * np.cos(motion.slope)
+    v_n = np.column_stack(
+        [level * np.cos(motion.heading), level * np.sin(motion.heading), -motion.speed * np.sin(motion.slope)]
+    )
+    return v_n, np.column_stack([np.zeros(len(level)), motion.slope, motion.heading])
+
+
+def _walk(motion: Motion, t: Array, gait: Gait) -> tuple[Array, Array]:
+    """`_along_the_track` upright, with the movements of the trunk: full above `FULL_STRIDE_MPS`, none at a standstill."""
+    v_n, euler = _along_the_track(motion)
+    share = smooth_step(motion.speed / FULL_STRIDE_MPS)
+    step, stride = 2.0 * np.pi * gait.step_rate_hz, np.pi * gait.step_rate_hz
+    sideways = share * gait.sway_m * stride * np.cos(stride * t)
+    v_n[:, 0] -= sideways * np.sin(motion.heading)
+    v_n[:, 1] += sideways * np.cos(motion.heading)
+    v_n[:, 2] += share * gait.bounce_m * step * np.cos(step * t)
+    euler[:, 0] = share * math.radians(gait.roll_deg) * np.sin(stride * t)
+    euler[:, 1] = share * math.radians(gait.pitch_deg) * np.sin(step * t)
+    return v_n, euler

@@ -55,6 +55,13 @@ def sense_flight(
             made, drawn = sensor.sense(config, trajectory, draws, imu.spec.lever_arm_b)
             aiding |= made if isinstance(made, dict) else {kind: made}
             constants |= drawn
+    if initial.align_at_rest_s is not None:
+        from testbed.sensors.rest_alignment import after, align_at_rest
+
+        start, rest = align_at_rest(initial, trajectory, imu, aiding.get("mag"), draws)
+        log = SensorLog(rest, start, name=trajectory.name, aiding=after(aiding, start.t))
+        later = imu.t > start.t + 1e-9
+        return log, SensorErrors(rest.t, bias["accel"][later], bias["gyro"][later], constants)
     start = draw_initial(initial, trajectory, imu.spec, {name: values[0] for name, values in bias.items()}, draws)
     log = SensorLog(imu, start, name=trajectory.name, aiding=aiding)
     return log, SensorErrors(imu.t, bias["accel"], bias["gyro"], constants)

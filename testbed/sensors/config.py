@@ -287,3 +287,25 @@ class InitialConfig(Table):
     gyro_bias_dps: NonNegative | None = None
     """What a calibration before the flight left of the bias. None: nothing is known of it but the specification."""
     accel_bias_mg: NonNegative | None = None
+    align_at_rest_s: Annotated[float, Field(gt=0, le=36_000)] | None = Field(
+        default=None,
+        description="Let the filter align while the vehicle stands, s: levelling and gyro bias from the IMU's means instead of "
+        "errors drawn around the truth; the log begins after it",
+    )
+    align_heading: Literal["mag", "given", "unknown"] | None = Field(
+        default=None,
+        description="Heading after an alignment at rest: from the magnetometer, known to yaw_deg (the default), or unknown",
+    )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> InitialConfig:
+        if self.align_at_rest_s is None:
+            if self.align_heading is not None:
+                raise ValueError("align_heading has no meaning without align_at_rest_s")
+            return self
+        sensed = ["perfect", "velocity_mps", "roll_pitch_deg", "gyro_bias_dps", "accel_bias_mg"]
+        sensed += ["yaw_deg"] if self.align_heading in ("mag", "unknown") else []
+        for key in sensed:
+            if getattr(self, key) != type(self).model_fields[key].default:
+                raise ValueError(f"{key} has no meaning beside align_at_rest_s: the sensors decide it")
+        return self

@@ -2,7 +2,7 @@
 
 Model after Groves, 2nd ed., section 6.2 (scale error from the tyre's radius, quantisation by the encoder). A sample is the
 mean speed over a counting interval and describes its middle; it is stamped ``latency_s`` later. SI units; b is
-forward-right-down; the wheel rolls without slip.
+forward-right-down; the wheel rolls without slip unless the truth says how much (column ``wheel_slip``).
 """
 
 from __future__ import annotations
@@ -111,6 +111,8 @@ def _way(trajectory: Trajectory, t: Array, arm_b: Array, mount: Array) -> Array:
     _, _, _, v_n = point_state(trajectory, trajectory.t, arm_b)
     direction_b = np.array(quat_to_matrix(rotvec_to_quat(np.array([0.0, mount[0], mount[1]]))))[:, 0]
     forward = np.einsum("ki,ki->k", quats_to_matrices(trajectory.q_nb) @ direction_b, v_n)
+    if (slip := trajectory.extra.get("wheel_slip")) is not None:
+        forward = forward * (1.0 + slip)
     return np.asarray(CubicSpline(trajectory.t, forward).antiderivative()(t))
 
 

@@ -12,6 +12,8 @@ from testbed.flight.drive import DriveConfig, plan
 from testbed.physics import earth
 from testbed.physics.rotations import quats_to_eulers, quats_to_matrices
 from testbed.scenario import load_scenario
+from testbed.sensors.draws import Draws
+from testbed.sensors.odometer import OdometerConfig, sense_odometer
 
 
 @pytest.fixture(scope="module")
@@ -129,3 +131,86 @@ def test_legs_take_the_time_that_their_limits_need():
     """2 dv / a for a change of speed, 2 r dpsi / v for a bend: the smooth step's mean is half of its top."""
     legs = plan(validate(DriveConfig, {"type": "drive", "manoeuvres": TOWN[:2]}, "drive"))
     assert [leg.duration for leg in legs] == pytest.approx([2 * 14.0 / 3.0, 2 * 12.0 * np.pi / 2 / 14.0])
+
+
+def closes(truth, most_m):
+    """Largest distance (m) that the strapdown over the true increments leaves the truth by."""
+    lla, v, q = (np.empty((len(truth.t) - 1, n)) for n in (3, 3, 4))
+    start = truth.lat[0], truth.lon[0], truth.h[0], truth.v_n[0], truth.q_nb[0]
+    integrate(truth.t[0], truth.t[1:], truth.w_ib_b[1:], truth.f_b[1:], *start, np.zeros(3), np.zeros(3), lla, v, q)
+    return np.abs(earth.position_difference(*lla.T, truth.lat[1:], truth.lon[1:], truth.h[1:])).max() < most_m
+
+
+@pytest.mark.parametrize("name", ["car-drive", "rover", "pedestrian"])
+def test_shipped_drives_close(name):
+    """One lap each returns within 1 cm over perfect increments."""
+    truth = pipeline.fly(load_scenario(name, overrides={"flight.laps": 1}))
+    assert closes(truth, 0.01)
+    whole = load_scenario(name).flight
+    assert sum(leg.duration for leg in plan(whole)) == pytest.approx(whole.laps * truth.t[-1], abs=8.0), (
+        "and the braking between laps"
+    )
+
+
+def test_the_car_of_the_shipped_drive_takes_4375_s_and_nine_outages():
+    scenario = load_scenario("car-drive")
+    assert sum(leg.duration for leg in plan(scenario.flight)) == pytest.approx(4375.0, abs=0.02)
+    assert len(scenario.sensors.gnss.outages) == 9
+
+
+def test_a_rover_turns_on_the_spot_and_its_wheels_slip():
+    """The spin moves nothing and turns by its angle at its rate; 3 % per m/s² at 0.5 m/s² is 1.5 % of the wheel's speed, and
+    the steering angle of a bend is that of the wheelbase over its radius (Ackermann)."""
+    parts = (
+        {"type": "accelerate", "to_speed_mps": 2.0, "acceleration_mps2": 0.5},
+        {"type": "turn", "radius_m": 4.0, "heading_change_deg": 90.0},
+        {"type": "stop", "duration_s": 2.0, "acceleration_mps2": 0.5},
+        {"type": "spin", "heading_change_deg": 120.0, "rate_dps": 30.0, "direction": "left"},
+    )
+    truth = made(*parts, slip_pct=3.0, wheelbase_m=0.5)
+    spin = truth.t > truth.phases[-1].start + 0.1
+    assert truth.phases[-1].name == "spin" and np.abs(truth.v_n[spin]).max() < 1e-9
+    yaw = np.degrees(np.unwrap(quats_to_eulers(truth.q_nb)[:, 2]))
+    assert yaw[-1] == pytest.approx(90.0 - 120.0, abs=1e-3)
+    assert np.degrees(np.abs(truth.w_ib_b[spin, 2]).max()) == pytest.approx(30.0, rel=1e-3)
+    assert truth.extra["wheel_slip"].max() == pytest.approx(0.015, rel=1e-3)
+    assert truth.extra["steering_deg"].max() == pytest.approx(np.degrees(np.arctan(0.5 / 4.0)), rel=1e-3)
+    with pytest.raises(FlightError, match=r"manoeuvre 2 of 2 \(spin\): a spin begins"):
+        made(parts[0], parts[3])
+    with pytest.raises(FlightError, match=r"manoeuvre 1 of 2 \(spin\) in lap 2"):
+        made(parts[3], parts[0], laps=2)
+
+
+def test_the_odometer_counts_the_slipping_wheel():
+    """Up to speed and through a long stretch: the odometer's way is the wheel's, longer than the road by the integral of the
+    slip times the speed, 3 % of v²/2 = 6 cm at 2 m/s."""
+    way = {}
+    for slip in (0.0, 3.0):
+        truth = made({"type": "accelerate", "to_speed_mps": 2.0, "acceleration_mps2": 0.5}, slip_pct=slip)
+        config = validate(OdometerConfig, {"model": "car", "pulse_mm": 0.0, "noise_mps": 0.0, "scale_factor_pct": 0.0, "misalignment_deg": 0.0, "latency_s": 0.0}, "x")  # fmt: skip
+        samples, _ = sense_odometer(config, truth, Draws(1), (0.0, 0.0, 0.0))
+        way[slip] = samples.speed.sum() / samples.spec.rate_hz
+    assert way[3.0] - way[0.0] == pytest.approx(0.03 * 2.0, rel=0.02)
+
+
+def test_a_walker_bounces_about_its_way():
+    """At 1.4 m/s the trunk moves by bounce (2 pi f)² = 2.85 m/s² up and down with the steps and by sway (pi f)² = 0.71 m/s² to
+    the sides with every other; standing it is still, and the way is that of the script."""
+    parts = (
+        {"type": "stop", "duration_s": 5.0},
+        {"type": "accelerate", "to_speed_mps": 1.4, "acceleration_mps2": 1.0},
+        {"type": "straight", "duration_s": 20.0},
+    )
+    gait = {"step_rate_hz": 1.9, "bounce_m": 0.02, "sway_m": 0.02, "pitch_deg": 0.0, "roll_deg": 0.0}
+    truth, wheeled = made(*parts, gait=gait), made(*parts)
+    walking = slice(-1500, -100)
+    force = truth.f_b[walking] - wheeled.f_b[walking]
+    step = 2.0 * np.pi * 1.9
+    assert np.abs(force[:, 2]).max() == pytest.approx(0.02 * step**2, rel=0.01)
+    assert np.abs(force[:, 1]).max() == pytest.approx(0.02 * step**2 / 4.0, rel=0.01)
+    peak = np.fft.rfftfreq(1400, 0.01)[np.argmax(np.abs(np.fft.rfft(force[:, 2])))]
+    assert peak == pytest.approx(1.9, abs=0.08)
+    standing = truth.t < 4.9
+    assert np.abs(truth.v_n[standing]).max() < 1e-9
+    miss = earth.position_difference(truth.lat, truth.lon, truth.h, wheeled.lat, wheeled.lon, wheeled.h)
+    assert np.abs(miss).max() < 0.06, "the amplitudes, and what they build up with"
