@@ -337,12 +337,25 @@ name = "indirect-kf"
 """
 
 
-def import_recording(format: str, files: list[Path], out: Path) -> None:
-    """``testbed import``: the log for Python and ``allan``, and the same as tables with a scenario that runs on them."""
+def import_recording(
+    format: str, files: list[Path], out: Path, settings: list[str] | None = None, mapping: Path | None = None
+) -> None:
+    """``testbed import``: the log for Python and ``allan``, and the same as tables with a scenario that runs on them.
+
+    ``settings`` are keys of ``[recording]``, ``mapping`` is its mapping file.
+    """
     from testbed.formats import export_log, import_log
+    from testbed.scenario import parse_setting, set_key
 
     check_free(out)
-    recording = import_log(format, files)
+    options: dict[str, Any] = {}
+    for key, value in (parse_setting(text) for text in settings or []):
+        set_key(options, key.removeprefix("recording."), value, "--set")
+    if "format" in options or "dir" in options:
+        raise InputError("--set: format and folder of an import are the verb's own arguments")
+    recording = import_log(format, files, **options, **({"mapping": str(mapping)} if mapping else {}))
+    for note in recording.notes:
+        tell_user(f"note: {note}")
     with fresh_folder(out) as scratch:
         recording.log.save(scratch / "log")
         if recording.reference is not None:

@@ -30,6 +30,7 @@ READERS = {
     "navego": "testbed.formats.navego",
     "ulog": "testbed.formats.ulog",
     "broad": "testbed.formats.broad",
+    "rtklib": "testbed.formats.rtklib",
 }
 """Format -> module with a function ``read(config, folder) -> Raw``."""
 PLACEMENT = ("clock_s", "mounting_deg")
@@ -67,7 +68,7 @@ def finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Recor
     aiding = {"gnss": gnss, "mag": raw.mag, "baro": raw.baro, **raw.others}
     aiding = {kind: _after(samples, initial.t) for kind, samples in aiding.items()}
     log = SensorLog(imu, initial, name=raw.name, aiding=aiding)
-    return _cut(config, Recording(log, reference, tuple(notes)), place)
+    return _cut(config, Recording(log, reference, tuple(dict.fromkeys(notes)), raw.gnss_position_only), place)
 
 
 def _reference(raw: Raw, grid: Array, place: str) -> Trajectory | None:
@@ -200,7 +201,7 @@ def _cut(config: RecordingConfig, recording: Recording, place: str) -> Recording
             raise InputError(f"{place}: the reference does not overlap the part that is used")
         if not keep.all():
             reference = _cut_trajectory(reference, keep)
-    return Recording(log, reference, recording.notes)
+    return replace(recording, log=log, reference=reference)
 
 
 def _cut_trajectory(trajectory: Trajectory, keep: NDArray[np.bool_]) -> Trajectory:
