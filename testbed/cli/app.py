@@ -268,6 +268,27 @@ def import_command(
     commands.import_recording(format, files, out, settings, mapping)
 
 
+@app.command("score")
+def score_command(
+    solutions: Annotated[
+        list[Path],
+        typer.Argument(metavar="SOLUTION...", help="CSV or Parquet with units in the names, TUM, RTKLIB .pos."),
+    ],
+    truth: Annotated[
+        str,
+        typer.Option("--truth", metavar="REF|SCENARIO", help="Table of the true motion, or a scenario that is flown."),
+    ],
+    align: Annotated[
+        str, typer.Option("--align", help="none, translation, yaw or rigid: what is taken out before, and told.")
+    ] = "none",
+    out: Annotated[Path | None, typer.Option("--out", help="CSV file for the figures.")] = None,
+) -> None:
+    """Score other people's solutions: RMSE, CEP, R95, drift over distances."""
+    from testbed.cli import commands
+
+    commands.score(solutions, truth, align, out)
+
+
 @app.command("report")
 def report_command(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Result folders.")],

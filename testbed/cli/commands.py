@@ -371,6 +371,32 @@ def import_recording(
         print(f"compare on it with: testbed run {out / 'scenario.toml'}")
 
 
+def score(solutions: list[Path], truth: str, align: str, out: Path | None) -> None:
+    """``testbed score``: other people's solutions against a scenario's truth or a file; one column for each."""
+    import pandas as pd
+
+    from testbed import pipeline
+    from testbed.formats import solutions as files
+    from testbed.scenario import load_scenario
+    from testbed.scoring.tracks import score_track
+
+    if out is not None and out.exists():
+        raise InputError(f"{out}: already exists; give another --out")
+    path = Path(truth)
+    table_file = path.suffix in (".csv", ".parquet")
+    true = files.read_truth(path) if table_file else pipeline.fly(load_scenario(truth))
+    origin = files.origin_of(true)
+    scored = [score_track(true, files.read(solution, origin), align) for solution in solutions]
+    table = pd.DataFrame({str(file): result.metrics for file, result in zip(solutions, scored, strict=True)})
+    print(f"errors against {truth}, at the solutions' own times; rpe: RMS over each distance in % of it")
+    print(table.to_string(float_format=lambda value: f"{value:.4g}", na_rep="–"))
+    for file, result in zip(solutions, scored, strict=True):
+        print(f"{file}: {result.aligned}")
+    if out is not None:
+        table.T.rename_axis("solution").assign(alignment=[result.aligned for result in scored]).to_csv(out)
+        print(f"table: {out}")
+
+
 def report(folders: list[Path], out: Path) -> None:
     """``testbed report``."""
     from testbed.montecarlo.folders import read_manifest as manifest_of

@@ -49,12 +49,14 @@ REQUIRED: dict[str, dict[str, str]] = {
         for kind, sensor in SENSORS.items()
     },
     "reference": {"time": "time"} | _PLACE,
+    "solution": {"time": "time", "lat": "angle", "lon": "angle", "alt": "length"},
 }
 """Part -> stem of each column -> quantity."""
 REQUIRED["gnss"] = {stem: quantity for stem, quantity in REQUIRED["gnss"].items() if stem not in VELOCITY}
 OPTIONAL: dict[str, dict[str, str]] = {
     "gnss": _STD | dict.fromkeys(VELOCITY, "speed"),
     "reference": _EULER | _QUATERNION,
+    "solution": _EULER | _QUATERNION | dict.fromkeys(VELOCITY, "speed"),
 }
 STORED = "log.json"
 EPOCH = 1e7
@@ -78,6 +80,8 @@ class Tables:
         self.parts: dict[str, dict[str, Array]] = {}
         base: int | None = None
         found = {part: path for part, path in _find(folder, files).items() if only is None or part in only}
+        if "imu" not in found and (only is None or "imu" in only):
+            existing(folder / "imu.csv", "imu")
         self.places = {part: str(path) for part, path in found.items()}
         for part, path in found.items():
             self.parts[part], base = _read_part(path, part, _mapping_of(part, columns), base)
@@ -88,20 +92,20 @@ class Tables:
         """(N,k) of the named columns."""
         return np.column_stack([self.parts[part][stem] for stem in stems])
 
-    def quaternions(self) -> Array:
-        """q_nb (N,4) of the reference, from its quaternion or its Euler angles."""
-        table = self.parts["reference"]
+    def quaternions(self, part: str = "reference") -> Array:
+        """q_nb (N,4) of a part, from its quaternion or its Euler angles."""
+        table = self.parts[part]
         if all(name in table for name in _QUATERNION):
-            q = self.block("reference", list(_QUATERNION))
+            q = self.block(part, list(_QUATERNION))
             norm = np.linalg.norm(q, axis=1, keepdims=True)
             if (np.abs(norm - 1.0) > 1e-2).any():
                 raise InputError(
-                    f"{self.folder}: reference: q_nb at sample {int(np.argmax(np.abs(norm - 1)))} is no unit quaternion"
+                    f"{self.places[part]}: q_nb at sample {int(np.argmax(np.abs(norm - 1)))} is no unit quaternion"
                 )
             return np.where(np.abs(norm - 1.0) < 1e-12, q, q / norm)
         if all(name in table for name in _EULER):
-            return eulers_to_quats(self.block("reference", list(_EULER)))
-        raise InputError(f"{self.folder}: reference needs roll_deg, pitch_deg, yaw_deg or q_nb_0 .. q_nb_3")
+            return eulers_to_quats(self.block(part, list(_EULER)))
+        raise InputError(f"{self.places[part]}: needs roll_deg, pitch_deg, yaw_deg or q_nb_0 .. q_nb_3")
 
     def stored(self) -> dict[str, Any]:
         """Content of log.json, or an empty table."""
@@ -165,6 +169,8 @@ def _find(folder: Path, files: Mapping[str, str]) -> dict[str, Path]:
             raise InputError(f"files: '{key}' is no part of a table recording; {nearest(key, REQUIRED)}")
     found: dict[str, Path] = {}
     for part in REQUIRED:
+        if part == "solution" and part not in files:
+            continue
         if part in files:
             found[part] = existing(folder / files[part], part)
             continue
@@ -173,8 +179,6 @@ def _find(folder: Path, files: Mapping[str, str]) -> dict[str, Path]:
             raise InputError(f"{folder}: both {present[0].name} and {present[1].name} are there; name one under files")
         if present:
             found[part] = present[0]
-    if "imu" not in found:
-        existing(folder / "imu.csv", "imu")
     return found
 
 
