@@ -1,7 +1,8 @@
 """Recorded data in, flights and logs out: one registry of formats, one function for each direction.
 
 In: ``navego`` (.mat structs), ``table`` (CSV or Parquet with units in the column names), ``ulog`` (PX4 flight logs),
-``broad`` (trials of that data set), ``rtklib`` (.pos beside an IMU table).
+``broad`` (trials of that data set), ``kfgins`` (increments),
+``rtklib`` (.pos beside an IMU table).
 Out: ``parquet``, ``csv``, ``navego``, ``kml``. Each format is documented in its module; errors are `InputError`.
 """
 
@@ -34,6 +35,7 @@ FORMATS: dict[str, Format] = {
     "table": Format("CSV or Parquet tables with units in the column names", PARTS["table"], ".csv"),
     "ulog": Format("PX4 flight log", PARTS["ulog"], ".ulg"),
     "broad": Format("trial of the BROAD data set of attitude references", PARTS["broad"], ".mat"),
+    "kfgins": Format("KF-GINS text files: increments, positions, reference", PARTS["kfgins"], ".txt"),
     "rtklib": Format("RTKLIB solution (.pos) beside an IMU table", PARTS["rtklib"], ".pos"),
     "csv": Format("CSV with units in the column names", None, ".csv"),
     "parquet": Format("Parquet with units in the column names", None, ".parquet"),
@@ -41,7 +43,7 @@ FORMATS: dict[str, Format] = {
 }
 
 
-def import_log(format: str, files: Path | str | Sequence[Path | str], **options: Any) -> Any:
+def import_log(format: str, files: Path | str | Sequence[Path | str], /, **options: Any) -> Any:
     """Read recorded data into a `Recording` (``log`` and, where there is one, ``reference``).
 
     ``files``: a folder, or the files of one folder, of which each belongs to the part that its name begins with

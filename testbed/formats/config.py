@@ -18,6 +18,7 @@ PARTS = {
     "table": ("imu", *SENSORS, "reference"),
     "ulog": ("log",),
     "broad": ("trial",),
+    "kfgins": ("imu", "gnss", "reference"),
     "rtklib": ("imu", "pos", "mag", "baro", "reference"),
 }
 """Format -> names that ``files`` may use."""
@@ -81,7 +82,7 @@ class HoldoutConfig(Table):
 class RecordingConfig(Table):
     """``[recording]``. Relative paths start at the scenario's folder."""
 
-    format: Literal["navego", "table", "ulog", "broad", "rtklib"]
+    format: Literal["navego", "table", "ulog", "broad", "kfgins", "rtklib"]
     dir: str = "."
     files: dict[str, str] = Field(default_factory=dict)
     """Part -> file in ``dir``; default names where a part is absent."""

@@ -30,6 +30,7 @@ READERS = {
     "navego": "testbed.formats.navego",
     "ulog": "testbed.formats.ulog",
     "broad": "testbed.formats.broad",
+    "kfgins": "testbed.formats.kfgins",
     "rtklib": "testbed.formats.rtklib",
 }
 """Format -> module with a function ``read(config, folder) -> Raw``."""
@@ -101,8 +102,16 @@ def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Non
 
 def _derive_velocities(raw: Raw) -> list[str]:
     """Velocities of a receiver that states none."""
-    if raw.gnss is None or not raw.gnss_position_only:
+    if raw.gnss is None or not (raw.gnss_position_only or raw.gnss_level_velocity):
         return []
+    if raw.gnss_level_velocity:
+        stated, std = raw.gnss.v_n, raw.gnss.measurement_std()
+        derived = with_derived_velocity(raw.gnss)
+        v_std = np.column_stack([std[:, :5], derived.measurement_std()[:, 5]])
+        raw.gnss = replace(raw.gnss, v_n=np.column_stack([stated[:, :2], derived.v_n[:, 2]]), std=v_std)
+        return [
+            f"{raw.place('gnss')}: states no vertical velocity; it is the difference of the heights, with its sigma"
+        ]
     raw.gnss = with_derived_velocity(raw.gnss)
     sigma = float(np.median(raw.gnss.measurement_std()[:, 3])) if len(raw.gnss.t) else 0.0
     return [
