@@ -16,7 +16,7 @@ from testbed.base.errors import InputError
 from testbed.base.schema import validate
 from testbed.base.streams import stream
 from testbed.data.records import NavSolution, SensorErrors, SensorLog, Trajectory
-from testbed.scenario import Scenario, set_key
+from testbed.scenario import Scenario, WindowConfig, set_key
 from testbed.scenario.windows import Window, resolve_windows
 
 if TYPE_CHECKING:
@@ -44,6 +44,8 @@ def _named(scenario: Scenario, section: str) -> Iterator[None]:
 
 def flight_varies(scenario: Scenario) -> bool:
     """Whether each Monte Carlo run needs a flight of its own."""
+    if scenario.recording is not None and scenario.recording.holdout is not None:
+        return scenario.recording.holdout.draw is not None
     vary = scenario.monte_carlo.vary
     return scenario.flight is not None and (
         "turbulence" in vary or ("manoeuvres" in vary and bool(scenario.monte_carlo.disperse))
@@ -93,24 +95,46 @@ def fly(scenario: Scenario, run: int = 0) -> Trajectory:
     Raises FlightError when the aircraft cannot fly the script, InputError when a recording has no reference.
     """
     if scenario.recording is not None:
-        from testbed.formats import load_recording
-
-        reference = load_recording(scenario.recording, scenario.folder).reference
-        if reference is None:
-            raise InputError(
-                f"{scenario.source_path}: this recording has no reference trajectory, so nothing can be scored"
-            )
+        truth = _recorded_truth(scenario, run)
         if scenario.sensors is None:
-            return reference
+            return truth
         from testbed.flight.track import sensed_anew
 
         with _named(scenario, "recording"):
-            return sensed_anew(reference, scenario.sensors.imu.rate_hz)
+            return sensed_anew(truth, scenario.sensors.imu.rate_hz)
     from testbed.flight import fly_flight
 
     with _named(scenario, "flight"):
         config, seed = flight_of_run(scenario, run)
         return fly_flight(config, seed)
+
+
+def _recorded_truth(scenario: Scenario, run: int) -> Trajectory:
+    """The reference of a recording, else its withheld fixes."""
+    from testbed.formats import holdout, load_recording
+
+    assert scenario.recording is not None
+    if scenario.recording.holdout is not None and scenario.sensors is not None:
+        raise InputError(
+            f"{scenario.source_path}: [recording.holdout] withholds fixes that [sensors] replaces; leave one of them out"
+        )
+    recording = load_recording(scenario.recording, scenario.folder)
+    if recording.reference is not None:
+        return recording.reference
+    if scenario.recording.holdout is None:
+        raise InputError(
+            f"{scenario.source_path}: this recording has no reference trajectory, so nothing can be scored;"
+            " [recording.holdout] withholds fixes to score against"
+        )
+    return holdout.withheld(recording.log, _withheld_windows(scenario, recording.log, run), recording.position_only)
+
+
+def _withheld_windows(scenario: Scenario, log: SensorLog, run: int) -> tuple[tuple[float, float], ...]:
+    from testbed.formats import holdout
+
+    assert scenario.recording is not None and scenario.recording.holdout is not None
+    seed = scenario.monte_carlo.seed
+    return holdout.windows_of(scenario.recording.holdout, log, seed, run, scenario.source_path)
 
 
 def sense(
@@ -121,9 +145,12 @@ def sense(
     For a recording without ``[sensors]``: the recording and None.
     """
     if scenario.recording is not None and scenario.sensors is None:
-        from testbed.formats import load_recording
+        from testbed.formats import holdout, load_recording
 
-        return load_recording(scenario.recording, scenario.folder).log, None
+        log = load_recording(scenario.recording, scenario.folder).log
+        if scenario.recording.holdout is not None:
+            log = holdout.withhold(log, _withheld_windows(scenario, log, run))
+        return log, None
     from testbed.sensors import sense_flight
 
     if scenario.sensors is None:
@@ -137,8 +164,12 @@ def sense(
 def windows_of(scenario: Scenario, trajectory: Trajectory, log: SensorLog | None = None) -> list[Window]:
     """The scoring windows of a scenario on this flight and log."""
     outages = log.gnss.outages if log is not None and log.gnss is not None else ()
+    configs = list(scenario.windows)
+    withheld = scenario.recording is not None and scenario.recording.holdout is not None
+    if withheld and not any(config.kind == "outages" for config in configs):
+        configs.append(WindowConfig(kind="outages"))
     with _named(scenario, "windows"):
-        return resolve_windows(scenario.windows, trajectory, outages)
+        return resolve_windows(configs, trajectory, outages)
 
 
 def truth_at_imu(trajectory: Trajectory, log: SensorLog) -> Trajectory:

@@ -249,14 +249,44 @@ def allan_command(
 
 @app.command("import")
 def import_command(
-    format: Annotated[str, typer.Argument(help="navego, table or ulog.", autocompletion=completion.formats)],
+    format: Annotated[
+        str, typer.Argument(help="broad, kfgins, navego, rtklib, table or ulog.", autocompletion=completion.formats)
+    ],
     files: Annotated[list[Path], typer.Argument(help="The recording: a folder or files.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for the sensor log.")],
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="A key of [recording], e.g. imu.model=ADIS16448, start_s=20."),
+    ] = None,
+    mapping: Annotated[
+        Path | None, typer.Option("--map", help="TOML file with a table [columns] for tables of other names or units.")
+    ] = None,
 ) -> None:
     """Recorded data into a sensor log that every estimator can run on."""
     from testbed.cli import commands
 
-    commands.import_recording(format, files, out)
+    commands.import_recording(format, files, out, settings, mapping)
+
+
+@app.command("score")
+def score_command(
+    solutions: Annotated[
+        list[Path],
+        typer.Argument(metavar="SOLUTION...", help="CSV or Parquet with units in the names, TUM, RTKLIB .pos."),
+    ],
+    truth: Annotated[
+        str,
+        typer.Option("--truth", metavar="REF|SCENARIO", help="Table of the true motion, or a scenario that is flown."),
+    ],
+    align: Annotated[
+        str, typer.Option("--align", help="none, translation, yaw or rigid: what is taken out before, and told.")
+    ] = "none",
+    out: Annotated[Path | None, typer.Option("--out", help="CSV file for the figures.")] = None,
+) -> None:
+    """Score other people's solutions: RMSE, CEP, R95, drift over distances."""
+    from testbed.cli import commands
+
+    commands.score(solutions, truth, align, out)
 
 
 @app.command("report")

@@ -338,12 +338,25 @@ name = "indirect-kf"
 """
 
 
-def import_recording(format: str, files: list[Path], out: Path) -> None:
-    """``testbed import``: the log for Python and ``allan``, and the same as tables with a scenario that runs on them."""
+def import_recording(
+    format: str, files: list[Path], out: Path, settings: list[str] | None = None, mapping: Path | None = None
+) -> None:
+    """``testbed import``: the log for Python and ``allan``, and the same as tables with a scenario that runs on them.
+
+    ``settings`` are keys of ``[recording]``, ``mapping`` is its mapping file.
+    """
     from testbed.formats import export_log, import_log
+    from testbed.scenario import parse_setting, set_key
 
     check_free(out)
-    recording = import_log(format, files)
+    options: dict[str, Any] = {}
+    for key, value in (parse_setting(text) for text in settings or []):
+        set_key(options, key.removeprefix("recording."), value, "--set")
+    if "format" in options or "dir" in options:
+        raise InputError("--set: format and folder of an import are the verb's own arguments")
+    recording = import_log(format, files, **options, **({"mapping": str(mapping)} if mapping else {}))
+    for note in recording.notes:
+        tell_user(f"note: {note}")
     with fresh_folder(out) as scratch:
         recording.log.save(scratch / "log")
         if recording.reference is not None:
@@ -357,6 +370,32 @@ def import_recording(format: str, files: list[Path], out: Path) -> None:
         print("there is no reference trajectory to score against; the log can be used from Python")
     else:
         print(f"compare on it with: testbed run {out / 'scenario.toml'}")
+
+
+def score(solutions: list[Path], truth: str, align: str, out: Path | None) -> None:
+    """``testbed score``: other people's solutions against a scenario's truth or a file; one column for each."""
+    import pandas as pd
+
+    from testbed import pipeline
+    from testbed.formats import solutions as files
+    from testbed.scenario import load_scenario
+    from testbed.scoring.tracks import score_track
+
+    if out is not None and out.exists():
+        raise InputError(f"{out}: already exists; give another --out")
+    path = Path(truth)
+    table_file = path.suffix in (".csv", ".parquet")
+    true = files.read_truth(path) if table_file else pipeline.fly(load_scenario(truth))
+    origin = files.origin_of(true)
+    scored = [score_track(true, files.read(solution, origin), align) for solution in solutions]
+    table = pd.DataFrame({str(file): result.metrics for file, result in zip(solutions, scored, strict=True)})
+    print(f"errors against {truth}, at the solutions' own times; rpe: RMS over each distance in % of it")
+    print(table.to_string(float_format=lambda value: f"{value:.4g}", na_rep="–"))
+    for file, result in zip(solutions, scored, strict=True):
+        print(f"{file}: {result.aligned}")
+    if out is not None:
+        table.T.rename_axis("solution").assign(alignment=[result.aligned for result in scored]).to_csv(out)
+        print(f"table: {out}")
 
 
 def report(folders: list[Path], out: Path) -> None:

@@ -1,7 +1,8 @@
 """Recorded data in, flights and logs out: one registry of formats, one function for each direction.
 
 In: ``navego`` (.mat structs), ``table`` (CSV or Parquet with units in the column names), ``ulog`` (PX4 flight logs),
-``broad`` (trials of that data set).
+``broad`` (trials of that data set), ``kfgins`` (increments),
+``rtklib`` (.pos beside an IMU table).
 Out: ``parquet``, ``csv``, ``navego``, ``kml``. Each format is documented in its module; errors are `InputError`.
 """
 
@@ -34,13 +35,15 @@ FORMATS: dict[str, Format] = {
     "table": Format("CSV or Parquet tables with units in the column names", PARTS["table"], ".csv"),
     "ulog": Format("PX4 flight log", PARTS["ulog"], ".ulg"),
     "broad": Format("trial of the BROAD data set of attitude references", PARTS["broad"], ".mat"),
+    "kfgins": Format("KF-GINS text files: increments, positions, reference", PARTS["kfgins"], ".txt"),
+    "rtklib": Format("RTKLIB solution (.pos) beside an IMU table", PARTS["rtklib"], ".pos"),
     "csv": Format("CSV with units in the column names", None, ".csv"),
     "parquet": Format("Parquet with units in the column names", None, ".parquet"),
     "kml": Format("KML track for Google Earth, coloured by error", None, ".kml"),
 }
 
 
-def import_log(format: str, files: Path | str | Sequence[Path | str], **options: Any) -> Any:
+def import_log(format: str, files: Path | str | Sequence[Path | str], /, **options: Any) -> Any:
     """Read recorded data into a `Recording` (``log`` and, where there is one, ``reference``).
 
     ``files``: a folder, or the files of one folder, of which each belongs to the part that its name begins with
@@ -88,13 +91,20 @@ def _parts_of(kind: str, paths: Sequence[Path]) -> dict[str, str]:
     for path in paths:
         if not path.is_file():
             raise InputError(f"{path}: no such file or folder")
-        part = parts[0] if len(parts) == 1 else next((p for p in parts if path.name.lower().startswith(p)), None)
+        part = parts[0] if len(parts) == 1 else _part_of(path, parts)
         if part is None or part in out:
             raise InputError(
                 f"{path}: cannot tell which part this is; name the files {', '.join(p + '*' for p in parts)}"
             )
         out[part] = path.name
     return out
+
+
+def _part_of(path: Path, parts: Sequence[str]) -> str | None:
+    """By the beginning of a file's name, or by its ending."""
+    if path.suffix.lower().lstrip(".") in parts:
+        return path.suffix.lower().lstrip(".")
+    return next((part for part in parts if path.name.lower().startswith(part)), None)
 
 
 def export_trajectory(

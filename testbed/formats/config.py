@@ -5,7 +5,7 @@ Pydantic models (strict, unknown keys refused); angles in degrees, everything el
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -18,6 +18,8 @@ PARTS = {
     "table": ("imu", *SENSORS, "reference"),
     "ulog": ("log",),
     "broad": ("trial",),
+    "kfgins": ("imu", "gnss", "reference"),
+    "rtklib": ("imu", "pos", "mag", "baro", "reference"),
 }
 """Format -> names that ``files`` may use."""
 
@@ -45,10 +47,42 @@ class AlignmentConfig(Table):
     yaw_std_deg: float | None = Field(default=None, gt=0.0, le=180.0)
 
 
+class HoldoutConfig(Table):
+    """``[recording.holdout]``: windows whose fixes are withheld and scored against; seconds after the start of the log."""
+
+    windows: list[Annotated[tuple[float, float], Field(strict=False)]] = Field(default_factory=list)
+    """[from, to] of each."""
+    every_s: float | None = Field(default=None, gt=0.0)
+    """A window at every so many seconds from ``first_s`` on."""
+    draw: int | None = Field(default=None, ge=1, le=1000)
+    """So many windows at random, anew in every run."""
+    length_s: float = Field(default=15.0, gt=0.0)
+    """Of a window of ``every_s`` or ``draw``: 15 s is a tunnel or an underpass in town."""
+    first_s: float = Field(default=40.0, ge=0.0)
+    """Before it nothing is withheld by ``every_s`` or ``draw``: a filter needs some motion to settle."""
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> HoldoutConfig:
+        if sum((bool(self.windows), self.every_s is not None, self.draw is not None)) != 1:
+            raise ValueError("give exactly one of windows = [[from, to], ...], every_s and draw")
+        if self.every_s is not None and self.every_s <= self.length_s:
+            raise ValueError(
+                f"every_s = {self.every_s:g} must be above length_s = {self.length_s:g}, or no fix is left"
+            )
+        ends = sorted(self.windows)
+        for a, b in ends:
+            if not 0.0 <= a < b:
+                raise ValueError(f"windows: [{a:g}, {b:g}] must rise, from 0 on")
+        for (_, b), (a, _) in zip(ends, ends[1:], strict=False):
+            if a < b:
+                raise ValueError(f"windows: one begins at {a:g} s, before the one before it ends at {b:g} s")
+        return self
+
+
 class RecordingConfig(Table):
     """``[recording]``. Relative paths start at the scenario's folder."""
 
-    format: Literal["navego", "table", "ulog", "broad"]
+    format: Literal["navego", "table", "ulog", "broad", "kfgins", "rtklib"]
     dir: str = "."
     files: dict[str, str] = Field(default_factory=dict)
     """Part -> file in ``dir``; default names where a part is absent."""
@@ -64,6 +98,7 @@ class RecordingConfig(Table):
     end_s: float | None = None
     """Use only this part of the recording."""
     initial: AlignmentConfig = AlignmentConfig()
+    holdout: HoldoutConfig | None = None
     imu: dict[str, Any] = Field(default_factory=dict)
     gnss: dict[str, Any] = Field(default_factory=dict)
     mag: dict[str, Any] = Field(default_factory=dict)
@@ -77,8 +112,8 @@ class RecordingConfig(Table):
                 raise ValueError(
                     f"files: '{part}' is no part of a {self.format} recording; {nearest(part, PARTS[self.format])}"
                 )
-        if self.format != "table" and (self.columns or self.mapping):
-            raise ValueError(f"columns and mapping are for the format 'table', not '{self.format}'")
+        if self.format not in ("table", "rtklib") and (self.columns or self.mapping):
+            raise ValueError(f"columns and mapping are for the format 'table' (and 'rtklib'), not '{self.format}'")
         if self.format == "navego" and self.start_s is not None:
             raise ValueError("start_s is not for the format 'navego', whose initial attitude holds at its first sample")
         if self.start_s is not None and self.end_s is not None and self.end_s <= self.start_s:

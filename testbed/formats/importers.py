@@ -30,6 +30,8 @@ READERS = {
     "navego": "testbed.formats.navego",
     "ulog": "testbed.formats.ulog",
     "broad": "testbed.formats.broad",
+    "kfgins": "testbed.formats.kfgins",
+    "rtklib": "testbed.formats.rtklib",
 }
 """Format -> module with a function ``read(config, folder) -> Raw``."""
 PLACEMENT = ("clock_s", "mounting_deg")
@@ -67,7 +69,7 @@ def finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Recor
     aiding = {"gnss": gnss, "mag": raw.mag, "baro": raw.baro, **raw.others}
     aiding = {kind: _after(samples, initial.t) for kind, samples in aiding.items()}
     log = SensorLog(imu, initial, name=raw.name, aiding=aiding)
-    return _cut(config, Recording(log, reference, tuple(notes)), place)
+    return _cut(config, Recording(log, reference, tuple(dict.fromkeys(notes)), raw.gnss_position_only), place)
 
 
 def _reference(raw: Raw, grid: Array, place: str) -> Trajectory | None:
@@ -100,8 +102,16 @@ def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Non
 
 def _derive_velocities(raw: Raw) -> list[str]:
     """Velocities of a receiver that states none."""
-    if raw.gnss is None or not raw.gnss_position_only:
+    if raw.gnss is None or not (raw.gnss_position_only or raw.gnss_level_velocity):
         return []
+    if raw.gnss_level_velocity:
+        stated, std = raw.gnss.v_n, raw.gnss.measurement_std()
+        derived = with_derived_velocity(raw.gnss)
+        v_std = np.column_stack([std[:, :5], derived.measurement_std()[:, 5]])
+        raw.gnss = replace(raw.gnss, v_n=np.column_stack([stated[:, :2], derived.v_n[:, 2]]), std=v_std)
+        return [
+            f"{raw.place('gnss')}: states no vertical velocity; it is the difference of the heights, with its sigma"
+        ]
     raw.gnss = with_derived_velocity(raw.gnss)
     sigma = float(np.median(raw.gnss.measurement_std()[:, 3])) if len(raw.gnss.t) else 0.0
     return [
@@ -200,7 +210,7 @@ def _cut(config: RecordingConfig, recording: Recording, place: str) -> Recording
             raise InputError(f"{place}: the reference does not overlap the part that is used")
         if not keep.all():
             reference = _cut_trajectory(reference, keep)
-    return Recording(log, reference, recording.notes)
+    return replace(recording, log=log, reference=reference)
 
 
 def _cut_trajectory(trajectory: Trajectory, keep: NDArray[np.bool_]) -> Trajectory:

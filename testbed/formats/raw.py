@@ -19,6 +19,8 @@ class Raw:
     gnss: GnssFixes | None = None
     gnss_position_only: bool = False
     """Whether the receiver states no velocity: ``v_n`` is then zero until it is derived."""
+    gnss_level_velocity: bool = False
+    """Whether it states speed and course and no vertical velocity."""
     mag: MagSamples | None = None
     baro: BaroSamples | None = None
     others: dict[str, Any] = field(default_factory=dict)

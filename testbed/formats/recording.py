@@ -29,7 +29,9 @@ class Recording:
     log: SensorLog
     reference: Trajectory | None = None
     notes: tuple[str, ...] = ()
-    """What the scenario says of it without effect."""
+    """What was found, left out or assumed."""
+    position_only: bool = False
+    """Whether the velocities of its fixes are derived from their positions."""
 
 
 def check_time(t: Array, place: str) -> Array:

@@ -4,12 +4,14 @@ Files ``imu``, ``gnss``, ``mag``, ``baro``, ``reference`` (.csv or .parquet); on
 order and any unit that `testbed.data.column_units` lists (further columns are ignored):
 
 - imu: ``time_s, gyro_x_radps, gyro_y.., gyro_z.., accel_x_mps2, accel_y.., accel_z..`` in b (forward-right-down)
-- gnss: ``time_s, lat_deg, lon_deg, alt_m`` of the antenna, as an option ``v_north_mps, v_east_mps, v_down_mps`` and the
+- gnss: ``time_s, lat_deg, lon_deg, alt_m`` of the antenna, as an option ``v_north_mps, v_east_mps, v_down_mps`` (or
+  ``speed_mps, course_deg``) and the
   receiver's 1 sigma ``std_north_m, std_east_m, std_down_m, std_v_north_mps, std_v_east_mps, std_v_down_mps``
 - mag: ``time_s, mag_x_ut, mag_y.., mag_z..``; baro: ``time_s, pressure_pa``
 - reference: ``time_s``, place and velocity as in gnss, and ``roll_deg, pitch_deg, yaw_deg`` or ``q_nb_0 .. q_nb_3``
 
-Files with other names are read with a mapping, ``"wx" = "gyro_x_dps"`` (a leading minus turns the sign). Times that
+Separators are commas, semicolons, tabs or blanks; beside anything but commas a decimal comma is read as one. The columns of a
+file without a header are called 1, 2, ... in a mapping. Files with other names are read with a mapping, ``"wx" = "gyro_x_dps"`` (a leading minus turns the sign). Times that
 count from an epoch (above 10⁷ s) are counted from the first whole second of the IMU. ``log.json``, which `save_log`
 writes, holds the specifications and the initial state; without it they come from the scenario and from alignment.
 """
@@ -17,6 +19,7 @@ writes, holds the specifications and the initial state; without it they come fro
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,12 +53,14 @@ REQUIRED: dict[str, dict[str, str]] = {
         for kind, sensor in SENSORS.items()
     },
     "reference": {"time": "time"} | _PLACE,
+    "solution": {"time": "time", "lat": "angle", "lon": "angle", "alt": "length"},
 }
 """Part -> stem of each column -> quantity."""
 REQUIRED["gnss"] = {stem: quantity for stem, quantity in REQUIRED["gnss"].items() if stem not in VELOCITY}
 OPTIONAL: dict[str, dict[str, str]] = {
-    "gnss": _STD | dict.fromkeys(VELOCITY, "speed"),
+    "gnss": _STD | dict.fromkeys((*VELOCITY, "speed"), "speed") | {"course": "angle"},
     "reference": _EULER | _QUATERNION,
+    "solution": _EULER | _QUATERNION | dict.fromkeys(VELOCITY, "speed"),
 }
 STORED = "log.json"
 EPOCH = 1e7
@@ -79,6 +84,8 @@ class Tables:
         self.parts: dict[str, dict[str, Array]] = {}
         base: int | None = None
         found = {part: path for part, path in _find(folder, files).items() if only is None or part in only}
+        if "imu" not in found and (only is None or "imu" in only):
+            existing(folder / "imu.csv", "imu")
         self.places = {part: str(path) for part, path in found.items()}
         for part, path in found.items():
             self.parts[part], base = _read_part(path, part, _mapping_of(part, columns), base)
@@ -89,20 +96,20 @@ class Tables:
         """(N,k) of the named columns."""
         return np.column_stack([self.parts[part][stem] for stem in stems])
 
-    def quaternions(self) -> Array:
-        """q_nb (N,4) of the reference, from its quaternion or its Euler angles."""
-        table = self.parts["reference"]
+    def quaternions(self, part: str = "reference") -> Array:
+        """q_nb (N,4) of a part, from its quaternion or its Euler angles."""
+        table = self.parts[part]
         if all(name in table for name in _QUATERNION):
-            q = self.block("reference", list(_QUATERNION))
+            q = self.block(part, list(_QUATERNION))
             norm = np.linalg.norm(q, axis=1, keepdims=True)
             if (np.abs(norm - 1.0) > 1e-2).any():
                 raise InputError(
-                    f"{self.folder}: reference: q_nb at sample {int(np.argmax(np.abs(norm - 1)))} is no unit quaternion"
+                    f"{self.places[part]}: q_nb at sample {int(np.argmax(np.abs(norm - 1)))} is no unit quaternion"
                 )
             return np.where(np.abs(norm - 1.0) < 1e-12, q, q / norm)
         if all(name in table for name in _EULER):
-            return eulers_to_quats(self.block("reference", list(_EULER)))
-        raise InputError(f"{self.folder}: reference needs roll_deg, pitch_deg, yaw_deg or q_nb_0 .. q_nb_3")
+            return eulers_to_quats(self.block(part, list(_EULER)))
+        raise InputError(f"{self.places[part]}: needs roll_deg, pitch_deg, yaw_deg or q_nb_0 .. q_nb_3")
 
     def stored(self) -> dict[str, Any]:
         """Content of log.json, or an empty table."""
@@ -166,6 +173,8 @@ def _find(folder: Path, files: Mapping[str, str]) -> dict[str, Path]:
             raise InputError(f"files: '{key}' is no part of a table recording; {nearest(key, REQUIRED)}")
     found: dict[str, Path] = {}
     for part in REQUIRED:
+        if part == "solution" and part not in files:
+            continue
         if part in files:
             found[part] = existing(folder / files[part], part)
             continue
@@ -174,8 +183,6 @@ def _find(folder: Path, files: Mapping[str, str]) -> dict[str, Path]:
             raise InputError(f"{folder}: both {present[0].name} and {present[1].name} are there; name one under files")
         if present:
             found[part] = present[0]
-    if "imu" not in found:
-        existing(folder / "imu.csv", "imu")
     return found
 
 
@@ -252,11 +259,10 @@ def _read_part(path: Path, part: str, mapping: dict[str, str], base: int | None)
 
 def _read_frame(path: Path) -> pd.DataFrame:
     import pyarrow as pa
-    import pyarrow.csv
     import pyarrow.parquet
 
     try:
-        table = pa.parquet.read_table(path) if path.suffix == ".parquet" else pa.csv.read_csv(path)
+        table = pa.parquet.read_table(path) if path.suffix == ".parquet" else _read_text(path)
         names = [name.strip() for name in table.column_names]
         frame = table.rename_columns(names).to_pandas()
     except (pa.ArrowException, OSError, ValueError) as error:
@@ -266,6 +272,52 @@ def _read_frame(path: Path) -> pd.DataFrame:
     if not len(frame):
         raise InputError(f"{path}: has no rows below its header; leave the file out if the sensor recorded nothing")
     return frame
+
+
+def _read_text(path: Path) -> Any:
+    """A CSV file of any usual separator, with or without a header. Raises what pyarrow raises."""
+    import io
+
+    import pyarrow.csv as csv
+
+    with path.open("rb") as file:
+        head = file.read(65536).decode("utf-8", errors="replace").splitlines()
+    rows = [line for line in head[:3] if line.strip()]
+    last = rows[-1] if rows else ""
+    counts = {mark: min(line.count(mark) for line in rows) if rows else 0 for mark in ";\t|"}
+    separator = max(counts, key=lambda mark: counts[mark])
+    source: Any = path
+    if not counts[separator]:
+        blank = "," not in last or (len(last.split()) > 2 and _decimal_commas(last.split()))
+        separator = " " if blank and len(last.split()) > 1 else ","
+        if blank and separator == " ":  # any number of blanks between two columns
+            source = io.BytesIO(
+                "\n".join(" ".join(line.split()) for line in path.read_text("utf-8").splitlines()).encode()
+            )
+    words = last.split(separator)
+    comma = separator != "," and _decimal_commas(words)
+    headless = bool(rows) and all(
+        _is_number(word, comma) for word in rows[0].split(separator if separator != " " else None)
+    )
+    names = [str(k + 1) for k in range(len(words))] if headless else None
+    return csv.read_csv(
+        source,
+        csv.ReadOptions(column_names=names),
+        csv.ParseOptions(delimiter=separator),
+        csv.ConvertOptions(decimal_point="," if comma else "."),
+    )
+
+
+def _decimal_commas(words: Sequence[str]) -> bool:
+    return any(re.fullmatch(r"\s*[-+]?\d+,\d+(?:[eE][-+]?\d+)?\s*", word) for word in words)
+
+
+def _is_number(word: str, comma: bool) -> bool:
+    try:
+        float(word.replace(",", ".") if comma else word)
+    except ValueError:
+        return False
+    return True
 
 
 def _numbers(column: pd.Series, place: str) -> Array:

@@ -78,8 +78,11 @@ def _add_aiding(raw: Raw, tables: Tables, spec: dict[str, Any], outages: tuple[t
         velocity = [key for key in VELOCITY if key in g]
         if velocity and len(velocity) < 3:
             raise InputError(f"{raw.place('gnss')}: has {', '.join(velocity)}, but not all of {', '.join(VELOCITY)}")
-        raw.gnss_position_only = not velocity
+        level = not velocity and "speed" in g and "course" in g
+        raw.gnss_position_only, raw.gnss_level_velocity = not velocity and not level, level
         v_n = tables.block("gnss", list(VELOCITY)) if velocity else np.zeros((len(g["time"]), 3))
+        if level:
+            v_n[:, 0], v_n[:, 1] = g["speed"] * np.cos(g["course"]), g["speed"] * np.sin(g["course"])
         raw.gnss = GnssFixes(
             g["time"], g["lat"], g["lon"], g["alt"], v_n, spec["gnss"] or GnssSpec("unknown"), outages, std
         )
@@ -106,7 +109,7 @@ def _stated_std(raw: Raw, tables: Tables) -> Array | None:
     named = [key for key in STD if key in g]
     if not named:
         return None
-    position_only = not any(key in g for key in VELOCITY)
+    position_only = not any(key in g for key in (*VELOCITY, "speed"))
     wanted = STD[:3] if position_only else STD
     if missing := [key for key in wanted if key not in g]:
         raise InputError(f"{raw.place('gnss')}: has {', '.join(named)}, but not {', '.join(missing)}")

@@ -1,0 +1,123 @@
+"""Solutions of other programs: a table with units in the column names, TUM's text, or RTKLIB's .pos.
+
+- CSV or Parquet: ``time_s, lat_deg, lon_deg, alt_m`` and, as options, ``v_north_mps, v_east_mps, v_down_mps`` and
+  ``roll_deg, pitch_deg, yaw_deg`` or ``q_nb_0 .. q_nb_3``, in any unit that `testbed.data.column_units` lists.
+- TUM (.tum, .txt): ``time x y z qx qy qz qw`` in metres of a local frame, east-north-up about the first row of the truth
+  where nothing aligns it; quaternions turn the body (forward-left-up) to that frame, as in ROS. Another frame is what
+  alignment is for.
+- .pos: `testbed.formats.rtklib`.
+
+All become north-east-down metres about the first row of the truth, and forward-right-down attitudes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from testbed.base.errors import InputError
+from testbed.data.records import Array, Trajectory
+from testbed.formats.kinematics import multiply
+from testbed.formats.recording import check_finite, check_time
+from testbed.formats.rtklib import read_pos
+from testbed.formats.table import VELOCITY, Tables
+
+TUM = (".tum", ".txt")
+_ENU_TO_NED = np.array([[0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0]])
+_FRD_TO_FLU = np.array([[0.0, 1.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Track:
+    """A solution about an origin: ``t`` (N,), ``ned`` (N,3) m, ``v_n`` (N,3) and ``q_nb`` (N,4) or None where it has none."""
+
+    name: str
+    t: Array
+    ned: Array
+    v_n: Array | None = None
+    q_nb: Array | None = None
+
+
+Origin = tuple[float, float, float]
+"""Latitude, longitude (rad) and height (m)."""
+
+
+def origin_of(truth: Trajectory) -> Origin:
+    """The first row of the truth."""
+    return float(truth.lat[0]), float(truth.lon[0]), float(truth.h[0])
+
+
+def local(lat: Array, lon: Array, h: Array, origin: Origin) -> Array:
+    """(N,3) m north, east, down of the tangent plane at ``origin``, Earth's curvature and all."""
+    import pymap3d
+
+    e, n, u = pymap3d.geodetic2enu(lat, lon, h, *origin, deg=False)
+    return np.column_stack([n, e, -u])
+
+
+def read(path: Path, origin: Origin) -> Track:
+    """A solution file, by its ending. Raises InputError that names what is wrong with it."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    if path.suffix == ".pos":
+        fixes, position_only, _ = read_pos(path)
+        ned = local(fixes.lat, fixes.lon, fixes.h, origin)
+        return Track(path.stem, fixes.t, ned, None if position_only else fixes.v_n)
+    if path.suffix in TUM:
+        return _tum(path)
+    tables = Tables(path.parent, {"solution": path.name}, {}, ("solution",))
+    table = tables.parts["solution"]
+    velocity = [key for key in VELOCITY if key in table]
+    if velocity and len(velocity) < 3:
+        raise InputError(f"{path}: has {', '.join(velocity)}, but not all three velocities")
+    attitude = [key for key in ("roll", "pitch", "yaw", "q_nb_0", "q_nb_1", "q_nb_2", "q_nb_3") if key in table]
+    return Track(
+        path.stem,
+        table["time"] + tables.base,
+        local(table["lat"], table["lon"], table["alt"], origin),
+        tables.block("solution", velocity) if velocity else None,
+        tables.quaternions("solution") if attitude else None,
+    )
+
+
+def _tum(path: Path) -> Track:
+    try:
+        rows = np.loadtxt(path, ndmin=2, comments="#")
+    except ValueError as error:
+        raise InputError(f"{path}: not a TUM file of numbers, time x y z qx qy qz qw ({error})") from None
+    if rows.shape[1] != 8 or len(rows) < 2:
+        raise InputError(f"{path}: has {len(rows)} rows of {rows.shape[1]} numbers, TUM's have time x y z qx qy qz qw")
+    check_finite(rows, str(path))
+    t = check_time(rows[:, 0], f"{path}: time")
+    norm = np.linalg.norm(rows[:, 4:], axis=1, keepdims=True)
+    if (np.abs(norm - 1.0) > 1e-2).any():
+        raise InputError(f"{path}: the quaternion of row {int(np.argmax(np.abs(norm - 1.0)))} has not length 1")
+    q = rows[:, [7, 4, 5, 6]] / norm
+    n = len(t)
+    q_nb = multiply(multiply(np.repeat(_ENU_TO_NED, n, axis=0), q), np.repeat(_FRD_TO_FLU, n, axis=0))
+    return Track(path.stem, t, rows[:, [2, 1, 3]] * [1.0, 1.0, -1.0], None, q_nb)
+
+
+def read_truth(path: Path) -> Trajectory:
+    """A truth from a file: a stored trajectory, or a table as the part ``reference`` of a recording; seconds of its own clock."""
+    import pyarrow.parquet as pq
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    if path.suffix == ".parquet" and b"testbed" in (pq.read_schema(path).metadata or {}):
+        return Trajectory.load(path)
+    tables = Tables(path.parent, {"reference": path.name}, {}, ("reference",))
+    r = tables.parts["reference"]
+    known = ["position", "velocity"]
+    n = len(r["time"])
+    if n < 2:
+        raise InputError(f"{path}: has {n} rows, at least 2 are needed")
+    q_nb = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    if any(key in r for key in ("roll", "q_nb_0")):
+        q_nb, known = tables.quaternions(), [*known, "attitude"]
+    v_n = tables.block("reference", ["v_north", "v_east", "v_down"])
+    t = r["time"] + tables.base
+    nothing = np.zeros((n, 3))
+    return Trajectory(t, r["lat"], r["lon"], r["alt"], v_n, q_nb, nothing, nothing, name=path.stem, known=tuple(known))
