@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from testbed.base.errors import InputError, shown
 from testbed.data.records import Array, GnssFixes, SensorLog, Trajectory
-from testbed.formats import plausibility
+from testbed.formats import magnetic_field, plausibility
 from testbed.formats.alignment import LEVELLING, Given, align, cut_before, turned
 from testbed.formats.config import RecordingConfig
 from testbed.formats.first_motion import with_derived_velocity
@@ -69,6 +69,10 @@ def finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Recor
     aiding = {"gnss": gnss, "mag": raw.mag, "baro": raw.baro, **raw.others}
     aiding = {kind: _after(samples, initial.t) for kind, samples in aiding.items()}
     log = SensorLog(imu, initial, name=raw.name, aiding=aiding)
+    if not raw.field_known:
+        log, told = magnetic_field.measured(log, config.initial.level_s)
+        notes += told
+    notes += magnetic_field.norm_note(log)
     return _cut(config, Recording(log, reference, tuple(dict.fromkeys(notes)), raw.gnss_position_only), place)
 
 
@@ -97,7 +101,16 @@ def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Non
             raw.t_start += shift if kind == "imu" else 0.0
         if mounting is not None:
             samples = _mounted(kind, samples, mounting)
-        setattr(raw, kind, _respecify(config, folder, kind, samples, table))
+        field = {key: table.pop(key) for key in magnetic_field.KEYS if kind == "mag" and key in table}
+        if kind == "mag":
+            raw.field_known = "field_ut" in field or magnetic_field.is_stated(samples.spec, "mag" in raw.stated)
+        samples = _respecify(config, folder, kind, samples, table)
+        if kind == "mag":
+            if config.initial.declination_deg is not None:
+                samples = magnetic_field.with_declination(samples, float(np.radians(config.initial.declination_deg)))
+            raw.stated |= {"mag"} if field else set()
+            samples = magnetic_field.stated_field(field, samples)
+        setattr(raw, kind, samples)
 
 
 def _derive_velocities(raw: Raw) -> list[str]:
@@ -142,7 +155,7 @@ def _magnetic_field(
     config: RecordingConfig, raw: Raw, gnss: GnssFixes | None, reference: Trajectory | None
 ) -> list[str]:
     """Give the magnetometer the declination and field of the World Magnetic Model, where nothing states them."""
-    if raw.mag is None or "mag" in raw.stated:
+    if raw.mag is None or "mag" in raw.stated or config.initial.declination_deg is not None:
         return []
     source = gnss if gnss is not None and len(gnss.t) else reference
     if source is None:
@@ -154,8 +167,6 @@ def _magnetic_field(
     field = field_n(float(source.lat[0]), float(source.lon[0]), float(source.h[0]), year)
     declination = float(np.arctan2(field[1], field[0]))
     raw.mag = replace(raw.mag, spec=replace(raw.mag.spec, declination=declination, field_n=field))
-    if config.initial.declination_deg is not None:
-        return []
     dated = f"in {year:.1f}" if raw.utc is not None else f"in {year:.1f} (no file tells the date)"
     return [f"declination {np.degrees(declination):.2f}° from the World Magnetic Model at the first fix, {dated}"]
 

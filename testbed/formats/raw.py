@@ -34,6 +34,8 @@ class Raw:
     phases: tuple[Phase, ...] = ()
     stated: set[str] = field(default_factory=set)
     """Sensors whose figures the files state."""
+    field_known: bool = False
+    """Whether the magnetometer's specification states the local field; else it is measured at the start."""
     initial: InitialState | None = None
     """The whole initial state, where the files state it."""
     attitude: tuple[Array, Array] | None = None

@@ -45,6 +45,17 @@ def _norm(values: Array) -> Array:
     return np.sqrt(np.einsum("ij,ij->i", values, values))
 
 
+def _heading_and_inclination(phi: Array) -> tuple[Array, Array]:
+    """Sizes (N,), degrees, of the two turns, about down and about a horizontal axis, that make up a rotation vector (N,3)."""
+    import numpy as np
+
+    angle = _norm(phi)
+    half = 0.5 * np.sinc(0.5 * angle / np.pi)  # sin(angle / 2) / angle
+    w, z = np.cos(0.5 * angle), half * phi[:, 2]
+    level = half * np.hypot(phi[:, 0], phi[:, 1])
+    return np.degrees(2.0 * np.arctan2(np.abs(z), np.abs(w))), np.degrees(2.0 * np.arctan2(level, np.hypot(w, z)))
+
+
 def _magnitude(
     name: str, label: str, short: str, unit: str, group: str, states: tuple[str, ...], part: slice
 ) -> Quantity:
@@ -77,6 +88,15 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity(
             *("attitude_deg", "Attitude", "Attitude", "°", "Attitude", _ATTITUDE),
             lambda values, phi: _norm(phi) * (180.0 / math.pi),
+        ),
+        # The error's turn about down that leaves the least, and what it leaves (Laidig et al. 2021, doi:10.3390/data6070072).
+        Quantity(
+            *("heading_deg", "Heading", "Heading", "°", "Attitude", _ATTITUDE),
+            lambda values, phi: _heading_and_inclination(phi)[0],
+        ),
+        Quantity(
+            *("inclination_deg", "Inclination", "Incl.", "°", "Attitude", _ATTITUDE),
+            lambda values, phi: _heading_and_inclination(phi)[1],
         ),
     )
 }
