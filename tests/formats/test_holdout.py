@@ -96,3 +96,9 @@ def test_windows_that_cannot_be_are_refused(holdout: dict, words: str, log: Sens
     with pytest.raises(InputError, match=r"own\.toml") as caught:
         pipeline.fly(scenario(log, tmp_path, holdout))
     assert words in str(caught.value)
+
+
+def test_withheld_fixes_beside_simulated_sensors_are_refused(log: SensorLog, tmp_path: Path) -> None:
+    both = scenario(log, tmp_path, {"windows": [[10.0, 20.0]]}, sensors='imu = { model = "ideal" }')
+    with pytest.raises(InputError, match=r"own\.toml: \[recording\.holdout\] withholds fixes that \[sensors\] replaces"):
+        pipeline.fly(both)
