@@ -72,6 +72,13 @@ ROWS = (
         peers={"python-ins, covariance at 10 Hz": "test_bench_python_ins"},
     ),
     Row(
+        "`eskf`, 21 states and a barometer's bias, height at 10 Hz",
+        "test_bench_composed[21]",
+        what=TRIPLE,
+        floor="test_bench_triple_product",
+    ),
+    Row("`eskf`, 42 states", "test_bench_composed[42]", what=TRIPLE, floor="test_bench_triple_product"),
+    Row(
         "`indirect-kf` in a search, scored", "test_bench_filter_search", what=TRIPLE, floor="test_bench_triple_product"
     ),
     _direct("direct-ekf"),

@@ -9,15 +9,25 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimators.methods.eskf import Eskf
 from estimators.methods.indirect_kf import IndirectKf
 from estimators.methods.ins import Ins
-from testbed.data.records import GnssFixes, ImuSamples, InitialState, NavSolution, SensorLog, Trajectory
-from testbed.data.specs import GnssSpec, ImuSpec, TriadSpec
+from testbed.data.records import BaroSamples, GnssFixes, ImuSamples, InitialState, NavSolution, SensorLog, Trajectory
+from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, TriadSpec
 from testbed.physics.rotations import euler_to_quat
 from tests.benchmarks.arithmetic import strapdown_steps, triple_products
 from tests.benchmarks.python_peers import free_integration
 
 SAMPLES, RATE_HZ = 20_000, 200.0
+BIASES = ["accel-bias", "gyro-bias"]
+PARTS = {
+    "21": ([*BIASES, "accel-scale", "gyro-scale", "baro-bias"], ["gnss", "baro"]),
+    "42": (
+        [*BIASES, "accel-scale", "gyro-scale", "accel-misalignment", "gyro-misalignment", "g-sensitivity"],
+        ["gnss"],
+    ),
+}
+"""States and aiding of compositions, by the number of states (the first has a barometer's bias as well)."""
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +94,20 @@ class TestIndirect:
     def test_bench_indirect_kf(self, benchmark, log):
         benchmark.extra_info["samples"] = SAMPLES
         benchmark(IndirectKf().run, log)
+
+    @pytest.mark.parametrize("name", PARTS)
+    def test_bench_composed(self, benchmark, log, name):
+        """With a height at 10 Hz where it has one."""
+        states, aiding = PARTS[name]
+        composed = Eskf(states=states, aiding=aiding)
+        t = np.arange(0.1, log.imu.t[-1], 0.1)
+        heights = BaroSamples(
+            t,
+            np.full(len(t), 101325.0 * (1.0 - 2.25577e-5 * 100.0) ** 5.25588),
+            BaroSpec("bench", 10.0, 5.0, 30.0, 0.1),
+        )
+        benchmark.extra_info["samples"] = SAMPLES
+        benchmark(composed.run, SensorLog(log.imu, log.initial, log.gnss, baro=heights) if "baro" in aiding else log)
 
     def test_bench_filter_search(self, benchmark, log):
         """One candidate of a search, scored against a reference."""

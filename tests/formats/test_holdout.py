@@ -100,5 +100,7 @@ def test_windows_that_cannot_be_are_refused(holdout: dict, words: str, log: Sens
 
 def test_withheld_fixes_beside_simulated_sensors_are_refused(log: SensorLog, tmp_path: Path) -> None:
     both = scenario(log, tmp_path, {"windows": [[10.0, 20.0]]}, sensors='imu = { model = "ideal" }')
-    with pytest.raises(InputError, match=r"own\.toml: \[recording\.holdout\] withholds fixes that \[sensors\] replaces"):
+    with pytest.raises(
+        InputError, match=r"own\.toml: \[recording\.holdout\] withholds fixes that \[sensors\] replaces"
+    ):
         pipeline.fly(both)
