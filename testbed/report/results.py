@@ -41,6 +41,8 @@ PARQUET_COLUMNS = {
 
 KEYS = ("estimator", "window", "metric", "quantity", "baseline", "status", "verdict", "samples", "median_us")
 """Columns that say what a row is about: no table that has them does without."""
+COUNTS, MOST = ("run", "n", "n_runs", "dof", "samples"), 1e15
+"""Columns that count, and beyond which nothing was counted: whole numbers are exact below."""
 TEXT_COLUMNS = tuple(
     "estimator window metric id text verdict quantity baseline status reason better than origin runaways".split()
 )
@@ -247,8 +249,9 @@ def _read(store: Store, name: str, columns: str) -> pd.DataFrame:
         for column in KEYS:
             if column in wanted and (column not in frame or frame[column].isna().any()):
                 raise ValueError(f"column '{column}' is missing or has empty cells")
-            if column == "samples" and column in wanted and not math.isfinite(frame[column].sum()):
-                raise ValueError(f"column '{column}' is not finite")
+        for column in COUNTS:
+            if column in wanted and column in frame and not frame[column].dropna().between(0, MOST).all():
+                raise ValueError(f"column '{column}' holds what is no count")
         return frame.reindex(columns=[*frame.columns, *(c for c in wanted if c not in frame.columns)])
 
     frame = optional_part(store, name, read)
