@@ -89,6 +89,14 @@ def fly_script(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int
     return pilot.fly(config)
 
 
+def steps_per_sample(rate_hz: float) -> int:
+    """Steps of JSBSim between two samples of its state: as many as lie between two rows of the truth, where that is a part of
+    the autopilot's tick; else each step is sampled, and the rows lie between."""
+    stride = round(STEP_HZ / rate_hz)
+    whole = stride >= 1 and math.isclose(stride * rate_hz, STEP_HZ, rel_tol=1e-12)
+    return stride if whole and STEPS_PER_CONTROL % stride == 0 else 1
+
+
 def script_duration(config: FlightConfig) -> float | None:
     """Length of the flight (s) where the script fixes it, else None."""
     if config.duration_s is not None:
@@ -209,7 +217,8 @@ class _Pilot:
         s.origin = (*origin, config.initial.alt_m)
         s.metres = metres_per_radian(s.origin[0], s.origin[2])
         start = *origin, self.simulator.motion[6]() * FOOT
-        truth = Resampler(STEP_HZ, config.rate_hz)
+        stride = steps_per_sample(config.rate_hz)
+        truth = Resampler(STEP_HZ / stride, config.rate_hz)
         script = _Script(config, s)
         v_n, v_e, v_d, roll, pitch, yaw = self.simulator.state
         # a row is packed before it is stored: an array that is extended by a tuple takes twice as long
@@ -218,7 +227,7 @@ class _Pilot:
         store(pack(v_n(), v_e(), v_d(), roll(), pitch(), yaw()))
         read, act, record = self.read, self.act, self.record
         step, ticks = 0, 0
-        steps = (run,) * STEPS_PER_CONTROL
+        samples_per_tick = ((run,) * stride,) * (STEPS_PER_CONTROL // stride)
         last = (
             None if samples is None else max(FEWEST_SAMPLES, math.ceil((samples - 1) * STEP_HZ / config.rate_hz - 1e-6))
         )
@@ -236,8 +245,9 @@ class _Pilot:
                 record()
             ticks += 1
             step += STEPS_PER_CONTROL
-            for take_step in steps:
-                take_step()
+            for steps in samples_per_tick:
+                for take_step in steps:
+                    take_step()
                 store(pack(v_n(), v_e(), v_d(), roll(), pitch(), yaw()))
             if len(state) > FLUSH * len(STATE):
                 _hand_over(state, truth)

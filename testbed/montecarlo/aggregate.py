@@ -238,15 +238,17 @@ def _summary(gathered: _Pass, values: ColumnStore, rows: list[str], seed: int) -
 
 
 def _timings(runs: pd.DataFrame, rows: list[str]) -> pd.DataFrame:
-    """µs per IMU sample of the runs that were finished."""
+    """µs per IMU sample of the runs that were finished; an estimator that finished none has no row."""
     done = runs[(runs["status"] == "ok") & (runs["samples"] > 0)]
     out = []
     for row in rows:
         part = done[done["estimator"] == row]
+        if part.empty:
+            continue
         cost = 1e6 * part["seconds"] / part["samples"]
-        samples = int(part["samples"].median()) if len(part) else 0
+        samples = int(part["samples"].median())
         out.append({"estimator": row, "samples": samples, "median_us": cost.median(), "min_us": cost.min()})
-    return pd.DataFrame(out)
+    return pd.DataFrame(out, columns=["estimator", "samples", "median_us", "min_us"])
 
 
 def _improvements(gathered: _Pass, column: verdicts.Values, rows: list[str], seed: int) -> pd.DataFrame:
