@@ -22,6 +22,8 @@ from testbed.physics.rotations import quats_to_matrices
 
 PARABOLA_S = 5.0
 """Fixes of so many seconds make the parabola: a jerk of 0.5 m/s³ bends it by 0.5 · 2.5³/6 = 1.3 m, below a fix's own error."""
+MANOEUVRE = 3.0
+"""m/s², 1 sigma of a vehicle's acceleration before anything is measured: a bank of 17°, hard braking of a car half of it more."""
 JERK = 1.0
 """m/s³, of a vehicle that begins a turn or brakes: it sets a central difference over a span s off by JERK s²/24."""
 REST_BLOCK_S = 1.0
@@ -90,8 +92,10 @@ def at_first_fix(gnss: GnssFixes) -> Start:
     powers = np.vander(t, degree + 1, increasing=True)
     out, spread = np.zeros((3, 3)), np.zeros((3, 3))
     for i in range(3):
-        weighted = powers / sigma[:, i : i + 1]
-        out[: degree + 1, i] = np.linalg.lstsq(weighted, ned[:, i] / sigma[:, i], rcond=None)[0]
+        weighted, shown = powers / sigma[:, i : i + 1], ned[:, i] / sigma[:, i]
+        if degree == 2:  # few or short fixes say nothing of the acceleration
+            weighted, shown = np.vstack([weighted, [0.0, 0.0, 2.0 / MANOEUVRE]]), np.append(shown, 0.0)
+        out[: degree + 1, i] = np.linalg.lstsq(weighted, shown, rcond=None)[0]
         spread[: degree + 1, i] = np.sqrt(np.diag(np.linalg.pinv(weighted.T @ weighted)))
     if degree < 1:
         return Start(np.zeros(3), np.zeros(3), 100.0, 0.0)

@@ -32,6 +32,8 @@ FACTORS = {"g": G0, "mg": 1e-3 * G0, "ft/s²": 0.3048}
 """Units that an accelerometer's numbers are often in, to m/s²."""
 DISTANCE_S = 10.0
 """Over which distances are compared: a metre of position noise is then 0.1 m/s."""
+STRAY_SIGMAS, STRAY_M, STRAY_MPS2 = 20.0, 50.0, 100.0
+"""A step off the way by twenty sigma, 50 m and what 10 g make of it is not the vehicle's."""
 MOST_ROWS = 20_000
 """Rows of a reference that are compared: the mean of so many says as much as that of all."""
 
@@ -39,11 +41,13 @@ MOST_ROWS = 20_000
 def check(raw: Raw) -> list[str]:
     """Sentences on what was found. Drops fixes that are none and such as lie before the IMU; raises InputError."""
     notes: list[str] = []
+    _absurd(raw)
     _overlaps(raw)
     if raw.gnss is not None:
         _places(raw.gnss.lat, raw.place("gnss"))
         notes += _no_fixes(raw)
         notes += _before_imu(raw)
+        notes += _strays(raw)
         _sigmas(raw)
     if raw.motion is not None:
         _places(raw.motion[1], raw.place("reference"))
@@ -63,6 +67,27 @@ def parts_of(raw: Raw) -> dict[str, Any]:
     """Every recorded table by the name of its part, the IMU first."""
     named = {"imu": raw.imu, "gnss": raw.gnss, "mag": raw.mag, "baro": raw.baro, **raw.others}
     return {name: samples for name, samples in named.items() if samples is not None}
+
+
+def _absurd(raw: Raw) -> None:
+    """Numbers that no vehicle reaches: a damaged file, or another column than it is taken for."""
+    imu = raw.imu
+    assert imu is not None
+    found = [("imu", "angular rate", imu.gyro, 1e4, "rad/s"), ("imu", "specific force", imu.accel, 1e5, "m/s²")]
+    if raw.gnss is not None:
+        found += [("gnss", "height", raw.gnss.h, 1e7, "m"), ("gnss", "velocity", raw.gnss.v_n, 2e4, "m/s")]
+    if raw.motion is not None:
+        found += [
+            ("reference", "height", raw.motion[3], 1e7, "m"),
+            ("reference", "velocity", raw.motion[4], 2e4, "m/s"),
+        ]
+    for part, what, values, most, unit in found:
+        if len(values) and not (values.max() <= most and values.min() >= -most):
+            size = np.abs(values).reshape(len(values), -1).max(axis=1)
+            k = int(np.argmax(~(size <= most)))
+            raise InputError(
+                f"{raw.place(part)}: the {what} is {size[k]:.4g} {unit} at sample {k}, which no vehicle reaches"
+            )
 
 
 def _overlaps(raw: Raw) -> None:
@@ -117,6 +142,39 @@ def _before_imu(raw: Raw) -> list[str]:
     ]
 
 
+def _strays(raw: Raw) -> list[str]:
+    """Fixes off the way of their neighbours, farther than any vehicle goes; at the start they are left out.
+
+    A filter can gate a stray among others; the first fix it would take at its word.
+    """
+    g = raw.gnss
+    assert g is not None
+    if len(g.t) < 5:
+        return []
+    dt = np.diff(g.t)
+    step = np.diff(first_motion.offsets(g), axis=0)
+    limit = np.maximum(STRAY_SIGMAS * float(np.median(g.measurement_std()[:, :3])), STRAY_M) + STRAY_MPS2 * dt**2
+    if not raw.gnss_position_only:
+        step = step - 0.5 * (g.v_n[1:] + g.v_n[:-1]) * dt[:, None]
+        far = np.linalg.norm(step, axis=1) > limit
+        fast = STRAY_MPS2 * dt + STRAY_SIGMAS * float(np.median(g.measurement_std()[:, 3:]))
+        far |= np.linalg.norm(np.diff(g.v_n, axis=0), axis=1) > fast
+    else:
+        far = np.linalg.norm(step - np.median(step, axis=0), axis=1) > limit + 340.0 * dt  # the speed of sound
+    if not far.any() or far.mean() > 0.1:  # many: the units are wrong, which is told as that
+        return []
+    told = [
+        f"{raw.place('gnss')}: {int(far.sum())} steps between fixes go off the way, the first at sample {int(np.argmax(far)) + 1}"
+    ]
+    stray = 0
+    while stray < len(far) - 1 and far[stray]:
+        stray += 1
+    if stray:
+        raw.gnss = select(g, np.arange(len(g.t)) >= stray)
+        told.append(f"{raw.place('gnss')}: the first {stray} of these would be the start, and are left out")
+    return told
+
+
 def _sigmas(raw: Raw) -> None:
     g = raw.gnss
     assert g is not None
@@ -140,12 +198,12 @@ def _sizes(raw: Raw) -> None:
     """Angular rates that no gyro measures, and specific force of a wrong unit."""
     imu = raw.imu
     assert imu is not None
-    fastest = float(np.quantile(np.abs(imu.gyro).max(axis=1), 0.99))
+    fastest = float(np.quantile(np.abs(imu.gyro[:: _stride(imu.t)]).max(axis=1), 0.99))
     if fastest > FASTEST_GYRO:
         raise InputError(
             f"{raw.place('imu')}: one gyro sample in a hundred is above {fastest:.3g} rad/s; are the rates in °/s? Name their unit"
         )
-    force = float(np.median(np.linalg.norm(imu.accel, axis=1)))
+    force = float(np.median(np.linalg.norm(imu.accel[:: _stride(imu.t)], axis=1)))
     step = float(np.median(np.diff(imu.t)))
     for unit, factor in FACTORS.items():
         if 0.8 < force * factor / G0 < 1.25:
@@ -160,10 +218,15 @@ def _sizes(raw: Raw) -> None:
         )
 
 
+def _stride(t: Array) -> int:
+    """Of rows, so that no more than `MOST_ROWS` are looked at."""
+    return max(1, len(t) // MOST_ROWS)
+
+
 def _gravity(raw: Raw) -> list[str]:
     imu = raw.imu
     assert imu is not None
-    force = float(np.median(np.linalg.norm(imu.accel, axis=1)))
+    force = float(np.median(np.linalg.norm(imu.accel[:: _stride(imu.t)], axis=1)))
     if raw.motion is not None:
         t, *_, q_nb = raw.motion
         rows = np.flatnonzero((t >= imu.t[0]) & (t <= imu.t[-1]))
