@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MAX_ROWS = 3000
+NIS_RANGE = (0.3, 3.0)
+"""Mean NIS of a channel outside of it is told: noise that is off by 1.8 times in sigma, which a data sheet is not."""
 
 Solved = tuple[EstimatorConfig, NavSolution, ErrorSeries]
 
@@ -57,7 +59,9 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
     sensors = {
         key: specs.to_dict(part.spec) for key, part in [("imu", log.imu), *log.aiding.items()] if hasattr(part, "spec")
     }
+    nis = {entry.row: _nis_per_channel(solution) for entry, solution, _ in solved}
     info: dict[str, Any] = {
+        "nis_per_channel": nis,
         "name": scenario.name,
         "title": scenario.scenario.title,
         "source": scenario.scenario.source,
@@ -71,6 +75,33 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
     }
     files["info.json"] = json.dumps(info, indent=1, ensure_ascii=False).encode()
     return files
+
+
+def innovation_notes(info: Mapping[str, Any]) -> list[str]:
+    """A sentence for each aiding of a filter whose innovations are not as large as it takes them for, channel by channel."""
+    notes = []
+    for row, aidings in info.get("nis_per_channel", {}).items():
+        for aiding, channels in aidings.items():
+            off = {name: value for name, value in channels.items() if not NIS_RANGE[0] <= value <= NIS_RANGE[1]}
+            if off:
+                told = ", ".join(f"{name.partition(',')[0]} {value:.2g}" for name, value in off.items())
+                notes.append(
+                    f"{row}: NIS per channel of the aiding {aiding} in run 0 leaves {NIS_RANGE[0]:g} to {NIS_RANGE[1]:g}, where 1"
+                    f" is expected: {told}"
+                )
+    return notes
+
+
+def _nis_per_channel(solution: NavSolution) -> dict[str, dict[str, float]]:
+    """Aiding -> channel -> mean of innovation squared over its variance, of the updates that were taken."""
+    out: dict[str, dict[str, float]] = {}
+    for aiding, every in solution.innovations.items():
+        nu = every.taken()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = nu.value**2 / np.einsum("kii->ki", nu.covariance)
+        used = ((name, x[np.isfinite(x)]) for name, x in zip(every.channels, ratio.T, strict=False))
+        out[aiding] = {name: round(float(values.mean()), 4) for name, values in used if len(values)}
+    return out
 
 
 def axis_sigmas(solution: NavSolution, rows: Any = slice(None)) -> dict[str, Array]:

@@ -6,6 +6,7 @@ depend on the number of workers, on their order, or on how often the batch was i
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +22,7 @@ from testbed.base.errors import InputError, TestbedError, nearest, tell_user
 from testbed.base.notes import notes_of
 from testbed.data.records import Trajectory
 from testbed.montecarlo import executors
+from testbed.montecarlo.first_run import innovation_notes
 from testbed.montecarlo.folders import check_own
 from testbed.montecarlo.store import FORMAT, KIND, Store, StoreError, batch_of, files_digest, open_result
 from testbed.montecarlo.work_unit import Setup, envelope_times
@@ -133,9 +135,16 @@ def run(
         if client is not None:
             client.close()
         tables = _tables(store, scenario, wanted, trajectory)
+        store.save(notes=[*store.manifest["notes"], *_of_first_run(store)])
         seconds = round(time.monotonic() - started, 3)
         store.save(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
     return Result(store.out, **vars(tables), notes=tuple(store.manifest["notes"]))
+
+
+def _of_first_run(store: Store) -> list[str]:
+    """What the innovations of run 0 say of the filters."""
+    path = store.out / "details" / "info.json"
+    return innovation_notes(json.loads(path.read_text())) if path.is_file() else []
 
 
 def _tables(store: Store, scenario: Scenario, runs: int, trajectory: Trajectory) -> Any:

@@ -1,4 +1,4 @@
-"""Speed of the attitude filters over 120 s at 50 Hz, beside what they cannot do without and the filters of the package ahrs.
+"""Speed of the attitude filters over 120 s at 50 Hz, beside what they cannot do without and the filters of the packages ahrs and vqf.
 
 The 12-state filter needs a triple product per sample; the LSTM-corrected one needs besides the matrix-vector products of
 its network (90 to 200, two layers of 400 to 800, 200 to 72). Printed, never asserted.
@@ -13,7 +13,7 @@ from tests.ahrs_simulation import simulate
 from tests.benchmarks.arithmetic import matrix_vector_products, triple_products
 
 SHAPES = ((90, 200), (400, 800), (400, 800), (200, 72))
-ESTIMATORS = ("ahrs-kf", "ahrs-lstm", "madgwick", "mahony", "ahrs-ekf")
+ESTIMATORS = ("ahrs-kf", "ahrs-eskf", "ahrs-lstm", "vqf", "madgwick", "mahony", "ahrs-ekf")
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +26,8 @@ def log():
 def test_bench_ahrs(benchmark, log, name):
     from testbed.data.registry import make_estimator
 
-    if name not in ("ahrs-kf", "ahrs-lstm"):
-        pytest.importorskip("ahrs")
+    if name in ("vqf", "madgwick", "mahony", "ahrs-ekf"):
+        pytest.importorskip("vqf" if name == "vqf" else "ahrs")
     # random weights cost what trained ones do
     estimator = make_estimator(name, **({"weights": "untrained"} if name == "ahrs-lstm" else {}))
     benchmark.extra_info["samples"] = len(log.imu.t)

@@ -232,3 +232,21 @@ def test_closing_a_pool_before_its_first_unit_ends_its_workers():
     workers = list(pool._executor._processes.values())
     units.close()
     assert len(workers) == 2 and not any(worker.is_alive() for worker in workers) and pool._executor is None
+
+
+def test_innovations_that_are_not_what_a_filter_takes_them_for_are_told():
+    """Of two channels with a sigma of 2, one of size 2 and one of size 0.2: 1 and 0.01, of which the second is told."""
+    from testbed.data.records import Innovations, NavSolution
+    from testbed.montecarlo.first_run import _nis_per_channel, innovation_notes
+
+    t, still = np.arange(10.0), np.tile([1.0, 0.0, 0.0, 0.0], (10, 1))
+    value = np.tile([2.0, 0.2], (10, 1)) * np.where(np.arange(10) % 2, 1.0, -1.0)[:, None]
+    value[9] = np.nan, 50.0
+    rejected = np.arange(10) == 9
+    nu = Innovations(t, value, np.tile(4.0 * np.eye(2), (10, 1, 1)), ("north, m", "east, m"), rejected)
+    solution = NavSolution(t, *(np.zeros((3, 10))), np.zeros((10, 3)), still, innovations={"beacon": nu})
+    found = _nis_per_channel(solution)
+    assert found == {"beacon": {"north, m": 1.0, "east, m": 0.01}}
+    (note,) = innovation_notes({"nis_per_channel": {"mine": found}})
+    assert note.startswith("mine: NIS per channel of the aiding beacon") and note.endswith("east 0.01")
+    assert innovation_notes({}) == []

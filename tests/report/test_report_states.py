@@ -56,7 +56,9 @@ def test_an_attitude_filter_has_no_position(result):
     of_ahrs = result.summary[result.summary["estimator"] == "ahrs-kf"]["metric"]
     told = {metric for metric in of_ahrs if not metric.startswith(("nees", "nis", "diverged"))}
     assert told == {
-        f"{s}_{q}" for s in quantities.STATISTICS for q in ("roll_deg", "pitch_deg", "yaw_deg", "attitude_deg")
+        f"{s}_{q}"
+        for s in quantities.STATISTICS
+        for q in ("roll_deg", "pitch_deg", "yaw_deg", "attitude_deg", "heading_deg", "inclination_deg")
     }
     frame = result.errors["ahrs-kf"]
     assert frame[["north_m", "v_east_mps", "lat_deg"]].isna().all(axis=None) and frame["yaw_deg"].notna().all()
@@ -117,6 +119,7 @@ def test_each_quantity_is_computed_as_it_says():
             **{"north_m": 3.0, "east_m": 4.0, "down_m": 12.0, "position_2d_m": 5.0, "position_3d_m": 13.0},
             **{"v_north_mps": 0.3, "v_east_mps": 0.4, "v_down_mps": 1.2, "velocity_3d_mps": 1.3},
             **{"roll_deg": 1.0, "pitch_deg": 2.0, "yaw_deg": 3.0, "attitude_deg": 5.729577951},
+            **{"heading_deg": 0.0, "inclination_deg": 5.729577951},
         }
     )
 

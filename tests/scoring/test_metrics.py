@@ -159,7 +159,7 @@ def test_a_filter_is_scored_on_the_states_that_it_names(truth):
     fixes = GnssFixes(truth.t[5::5], truth.lat[5::5], truth.lon[5::5], truth.h[5::5], truth.v_n[5::5])
     found = table(truth, solution, ALL, errors, fixes)
     quantity = {name.partition("_")[2] for _, name in found if not name.startswith("nees")}
-    assert quantity == {"roll_deg", "pitch_deg", "yaw_deg", "attitude_deg"}
+    assert quantity == {"roll_deg", "pitch_deg", "yaw_deg", "attitude_deg", "heading_deg", "inclination_deg"}
     assert {name for _, name in found if name.startswith("nees")} == {"nees_attitude", "nees_bias"}
     assert found["all", "nees_attitude"] == pytest.approx(4.0, rel=1e-4)
     assert found["all", "nees_bias"] == pytest.approx(9.0, rel=1e-9)
@@ -207,3 +207,14 @@ def test_divergence_says_what_and_when(truth):
     solution = displaced(truth)
     solution.v_n[500:] = np.nan
     assert metrics.divergence(metrics.error_series(truth, solution), 10.0) == "not finite from 50.1 s"
+
+
+def test_an_attitude_error_is_a_heading_and_an_inclination(truth):
+    """Turned by 3° about a horizontal axis and then by -10° about down, the errors are 3° and 10°, wherever north is."""
+    for axis in (0.0, 1.0, 2.5):
+        tilt = rotations.rotvec_to_quat((np.radians(3.0) * np.cos(axis), np.radians(3.0) * np.sin(axis), 0.0))
+        turn = rotations.quat_multiply(rotations.rotvec_to_quat((0.0, 0.0, np.radians(-10.0))), tilt)
+        q = np.array([rotations.quat_multiply(turn, row) for row in truth.q_nb])
+        solution = NavSolution(truth.t, truth.lat, truth.lon, truth.h, truth.v_n, q)
+        found = metrics.score(truth, solution, ALL).set_index("metric")["value"]
+        assert found["rmse_heading_deg"] == pytest.approx(10.0) and found["rmse_inclination_deg"] == pytest.approx(3.0)
