@@ -61,6 +61,25 @@ class Keep(Stretch):
         return self
 
 
+class Street(Stretch):
+    """A stretch between walls."""
+
+    skyline: list[Pair] = Field(
+        min_length=1,
+        description="[azimuth deg, elevation deg] of the walls' edges, linear between the points and around",
+    )
+
+    @field_validator("skyline")
+    @classmethod
+    def _around(cls, value: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        azimuths = [azimuth for azimuth, _ in value]
+        if any(b <= a for a, b in zip(azimuths, azimuths[1:], strict=False)):
+            raise ValueError("azimuths must increase")
+        if any(not 0.0 <= azimuth < 360.0 for azimuth in azimuths) or any(not 0.0 <= e <= 90.0 for _, e in value):
+            raise ValueError("azimuths lie in 0 to 360 and elevations in 0 to 90 degrees")
+        return value
+
+
 class Fault(Loss):
     """A wrong pseudorange of one satellite."""
 
@@ -111,10 +130,7 @@ class SatellitesConfig(Table):
     sky_seed: int | None = Field(
         default=None, ge=0, description="Draws the start within ten days, after which the ground tracks repeat"
     )
-    walls: list[Pair] = Field(
-        default_factory=list,
-        description="[azimuth deg, elevation deg] of a street's skyline, linear between the points",
-    )
+    walls: list[Street] = Field(default_factory=list, description="Streets, whose walls hide what lies behind them")
     losses: list[Loss] = Field(default_factory=list, description="Satellites that are lost for a while")
     keep: list[Keep] = Field(default_factory=list, description="Partial outages")
     faults: list[Fault] = Field(default_factory=list, description="Wrong pseudoranges of a satellite")
@@ -165,16 +181,6 @@ class SatellitesConfig(Table):
     def _each_once(cls, value: list[str]) -> list[str]:
         if len(set(value)) < len(value):
             raise ValueError("a system is named twice")
-        return value
-
-    @field_validator("walls")
-    @classmethod
-    def _a_skyline(cls, value: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        azimuths = [azimuth for azimuth, _ in value]
-        if any(b <= a for a, b in zip(azimuths, azimuths[1:], strict=False)):
-            raise ValueError("azimuths must increase")
-        if any(not 0.0 <= azimuth < 360.0 for azimuth in azimuths) or any(not 0.0 <= e <= 90.0 for _, e in value):
-            raise ValueError("azimuths lie in 0 to 360 and elevations in 0 to 90 degrees")
         return value
 
     @model_validator(mode="after")

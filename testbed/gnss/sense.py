@@ -111,6 +111,7 @@ def _check(config: SatellitesConfig, sky: Sky, trajectory: Trajectory) -> None:
     """Stretches within the flight and satellites of the sky, or an InputError."""
     start, end = trajectory.t[0], trajectory.t[-1]
     stretches: list[tuple[str, Stretch]] = [("losses", loss) for loss in config.losses]
+    stretches += [("walls", street) for street in config.walls]
     stretches += [("keep", keep) for keep in config.keep] + [("faults", fault) for fault in config.faults]
     for key, stretch in stretches:
         if stretch.start_s < start or stretch.end_s > end:
@@ -211,9 +212,10 @@ def _open(config: SatellitesConfig, spec: GnssSpec, sky: Sky, t: Array, seen: Ar
     """(E,S) whether anything stands between a satellite and the antenna, or the scenario takes it away."""
     elevation, azimuth = seen[..., s.ELEVATION], seen[..., s.AZIMUTH]
     clear = (elevation >= spec.signals.mask) & (seen[..., s.ANGLE] <= BLOCKED)
-    if config.walls:
-        around, height = np.radians(np.array(config.walls)).T
-        clear &= elevation >= np.interp(azimuth, around, height, period=2.0 * np.pi)
+    for street in config.walls:
+        around, height = np.radians(np.array(street.skyline)).T
+        inside = (t >= street.start_s) & (t < street.end_s)
+        clear[inside] &= elevation[inside] >= np.interp(azimuth[inside], around, height, period=2.0 * np.pi)
     for loss in config.losses:
         clear[np.ix_((t >= loss.start_s) & (t < loss.end_s), sky.codes == code_of(loss.sv))] = False
     for keep in config.keep:

@@ -182,7 +182,11 @@ class Degraded(Table):
 
 
 class GnssConfig(SensorTable):
-    """``[sensors.gnss]``"""
+    """``[sensors.gnss]``
+
+    ``model`` is ``module-class`` where neither it nor a figure is given; figures alone are those of an otherwise ideal
+    receiver.
+    """
 
     kind: ClassVar[str] = "gnss"
     rate_hz: Positive | None = None
@@ -201,6 +205,17 @@ class GnssConfig(SensorTable):
         description="errors: noise on the true position; satellites: pseudoranges, of which the receiver makes its fixes",
     )
     satellites: SatellitesConfig | None = Field(default=None, description='The sky of mode = "satellites"')
+
+    @model_validator(mode="before")
+    @classmethod
+    def _usual_receiver(cls, data: Any) -> Any:
+        """Without a model and without figures of its own a receiver is a module: its errors last, as those of real ones."""
+        if not isinstance(data, dict) or "model" in data:
+            return data
+        figures = set(data) & set(catalog.keys("gnss")) - {"rate_hz", "latency_s"}
+        if figures and data.get("mode") != "satellites":
+            return data
+        return {"model": "module-class"} | data
 
     @model_validator(mode="after")
     def _keys_of_the_mode(self) -> GnssConfig:

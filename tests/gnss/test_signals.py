@@ -130,10 +130,13 @@ def test_a_lost_satellite_changes_no_other():
 def test_walls_hide_what_lies_behind_them():
     flight = analytic_flight(10.0, 50.0, vigour=0.01)
     walls = [[0.0, 70.0], [80.0, 70.0], [90.0, 0.0], [100.0, 70.0], [260.0, 70.0], [270.0, 0.0], [280.0, 70.0]]
-    raw = record(flight, satellites={"walls": walls, "systems": ["gps", "galileo"]})[0]["gnss_raw"]
+    street = {"start_s": 2.0, "end_s": 8.0, "skyline": walls}
+    raw = record(flight, satellites={"walls": [street], "systems": ["gps", "galileo"]})[0]["gnss_raw"]
     free = record(flight, satellites={"systems": ["gps", "galileo"]})[0]["gnss_raw"]
     around = np.interp(np.degrees(raw.azimuth), *np.array(walls).T, period=360.0)
-    assert 0 < len(raw.t) < len(free.t) and (np.degrees(raw.elevation) >= around - 1e-9).all()
+    inside = (raw.t >= 2.0) & (raw.t < 8.0)
+    assert 0 < inside.sum() < 0.6 * np.sum((free.t >= 2.0) & (free.t < 8.0))
+    assert (np.degrees(raw.elevation) >= around - 1e-9)[inside].all() and np.sum(raw.t < 2.0) == np.sum(free.t < 2.0)
 
 
 def test_spoofing_takes_the_fix_along_and_residuals_see_nothing():
@@ -178,7 +181,13 @@ def test_a_log_survives_the_disk(tmp_path):
             {"mode": "satellites", "satellites": {"keep": [{"start_s": 0.0, "end_s": 1.0}]}},
             "give satellites or highest",
         ),
-        ({"mode": "satellites", "satellites": {"walls": [[400.0, 1.0]]}}, "azimuths lie in 0 to 360"),
+        (
+            {
+                "mode": "satellites",
+                "satellites": {"walls": [{"start_s": 0.0, "end_s": 1.0, "skyline": [[400.0, 1.0]]}]},
+            },
+            "azimuths lie in 0 to 360",
+        ),
     ],
 )
 def test_wrong_tables_are_refused(table, message):

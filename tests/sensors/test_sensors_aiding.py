@@ -14,7 +14,9 @@ from testbed.physics.atmosphere import isa_gradient, isa_height, isa_pressure
 from testbed.physics.earth import earth_rate_n, gravity, metres_per_radian, position_difference
 from testbed.physics.rotations import attitude_error, eulers_to_quats, quats_to_matrices
 from testbed.sensors import sense_flight
-from testbed.sensors.config import InitialConfig
+from testbed.sensors.config import GnssConfig, InitialConfig
+from testbed.sensors.draws import Draws
+from testbed.sensors.gnss import sense_gnss
 from testbed.sensors.magnetometer import field_n
 from testbed.sensors.registry import SensorsConfig
 
@@ -51,9 +53,37 @@ def gnss_errors(flight, fixes):
 
 
 def test_ideal_gnss_is_truth(flight):
-    log, _ = sense(flight, {"gnss": {}})
+    log, _ = sense(flight, {"gnss": {"model": "ideal"}})
     assert len(log.gnss.t) == 1500
     assert np.allclose(gnss_errors(flight, log.gnss), 0.0, atol=1e-7)
+
+
+def test_a_receiver_without_a_model_is_a_module_whose_errors_last():
+    """The figures of its satellites, and none where a scenario states its own; a module's figures come from its signals: the
+    spread and correlation of two days of fixes made of satellites, within what one day of each tells (a fifth)."""
+    usual = validate(GnssConfig, {}, "s").spec()
+    assert usual == validate(GnssConfig, {"model": "module-class"}, "s").spec() and usual.horizontal_markov_sigma > 1.0
+    own = validate(GnssConfig, {"horizontal_sigma_m": 2.0}, "s").spec()
+    assert (own.horizontal_sigma, own.horizontal_markov_sigma) == (2.0, 0.0)
+    assert validate(GnssConfig, {"mode": "satellites", "mask_deg": 10.0}, "s").spec().signals.clock_h0_s > 0.0
+    t = np.arange(0.0, 2 * 86400.0, 20.0)
+    rest, still = np.zeros((len(t), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))
+    parked = Trajectory(t, np.full(len(t), np.pi / 4), 0.0 * t, 0.0 * t, rest, still, rest, rest)
+    found = {}
+    for mode in ("errors", "satellites"):
+        config = validate(GnssConfig, {"model": "module-class", "mode": mode, "rate_hz": 0.05}, "s")
+        squares, products = np.zeros(2), np.zeros(2)
+        for seed in range(3):
+            made, _ = sense_gnss(config, parked, Draws(seed), (0.0, 0.0, 0.0))
+            fixes = made["gnss"] if mode == "satellites" else made
+            off = np.array(position_difference(fixes.lat, fixes.lon, fixes.h, np.pi / 4, 0.0, 0.0))
+            level, lagged = np.mean(off**2, axis=1), np.mean(off[:, 30:] * off[:, :-30], axis=1)
+            squares += [level[:2].mean(), level[2]]
+            products += [lagged[:2].mean(), lagged[2]]
+        found[mode] = np.concatenate([np.sqrt(squares / 3.0), products / squares])
+    # sigma horizontal and vertical; correlation after 10 minutes
+    assert found["errors"][:2] == pytest.approx(found["satellites"][:2], rel=0.15)
+    assert found["errors"][2:] == pytest.approx(found["satellites"][2:], abs=0.12)
 
 
 def test_white_noise_of_gnss(flight):
