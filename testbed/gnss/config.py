@@ -120,7 +120,7 @@ class SatellitesConfig(Table):
     """``[sensors.gnss.satellites]``"""
 
     systems: list[Literal["gps", "galileo"]] = Field(
-        default_factory=lambda: ["gps"], min_length=1, description="Constellations that the receiver uses"
+        default=["gps"], min_length=1, description="Constellations that the receiver uses"
     )
     expanded: bool = Field(default=False, description="GPS with 27 satellites in place of 24")
     navigation: str | None = Field(

@@ -77,8 +77,20 @@ def solve(received: Received, false_alarm: float = 1e-3) -> Fixes:
     dof = np.arange(1, 65)
     threshold = np.concatenate([[np.inf], chi2.isf(false_alarm, dof) if false_alarm else np.full(len(dof), np.inf)])
     epochs, rows = len(received.first) - 1, len(received.sigma)
-    nothing = [np.full((epochs, n), np.nan) for n in (3, 3, 6, 3, 3, 2)]
-    fixes = Fixes(*nothing, np.zeros(rows, dtype=np.int64), np.full(rows, np.nan))
+
+    def nothing(width: int) -> Array:
+        return np.full((epochs, width), np.nan)
+
+    fixes = Fixes(
+        nothing(3),
+        nothing(3),
+        nothing(6),
+        nothing(3),
+        nothing(3),
+        nothing(2),
+        np.zeros(rows, dtype=np.int64),
+        np.full(rows, np.nan),
+    )
     _solve(received, threshold, fixes)
     return fixes
 

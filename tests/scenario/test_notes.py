@@ -34,7 +34,7 @@ def test_every_shipped_estimator_says_which_sensors_it_uses():
         kind = estimator_class(name)
         definer = next(k for k in kind.__mro__ if "run" in vars(k))
         sensors = make_estimator(name).sensors if isinstance(kind.sensors, property) else kind.sensors
-        assert set(sensors) <= {"imu", "gnss", "mag", "baro"} and "imu" in sensors
+        assert set(sensors) <= {"imu", "gnss", "gnss_raw", "mag", "baro"} and "imu" in sensors
         assert any("sensors" in vars(k) for k in kind.__mro__[: kind.__mro__.index(definer) + 1]), name
 
 

@@ -112,7 +112,7 @@ def test_gauss_markov_error_of_gnss(flight):
 def test_lever_arm_of_a_turning_body():
     """An antenna 2 m ahead on a body that turns at 0.5 rad/s is 2 m along the heading and moves at 1 m/s across it."""
     turning = spinning()
-    log, _ = sense(turning, {"gnss": {"lever_arm_m": [2.0, 0.0, 0.0]}})
+    log, _ = sense(turning, {"gnss": {"model": "ideal", "lever_arm_m": [2.0, 0.0, 0.0]}})
     errors = gnss_errors(turning, log.gnss)
     yaw = 0.5 * log.gnss.t
     assert np.allclose(errors[:, 0], 2.0 * np.cos(yaw), atol=1e-5)
@@ -123,9 +123,9 @@ def test_lever_arm_of_a_turning_body():
 
 def test_lever_arm_velocity_is_the_derivative_of_its_position(flight):
     """On a hard flight, by central differences of the antenna's position: error of the difference h²/6 · jerk."""
-    arm = {"lever_arm_m": [1.5, -0.5, 0.7]}
+    arm = {"model": "ideal", "lever_arm_m": [1.5, -0.5, 0.7]}
     here = sense(flight, {"gnss": arm | {"rate_hz": 50.0}})[0].gnss
-    bare = sense(flight, {"gnss": {"rate_hz": 50.0}})[0].gnss
+    bare = sense(flight, {"gnss": {"model": "ideal", "rate_hz": 50.0}})[0].gnss
     arms = np.column_stack(position_difference(here.lat, here.lon, here.h, bare.lat, bare.lon, bare.h))
     rate = (arms[2:] - arms[:-2]) * 25.0
     assert np.allclose((here.v_n - bare.v_n)[1:-1], rate, atol=2e-3)
@@ -133,7 +133,7 @@ def test_lever_arm_velocity_is_the_derivative_of_its_position(flight):
 
 def test_latency_stamps_late():
     turning = spinning()
-    fixes = sense(turning, {"gnss": {"latency_s": 0.13}})[0].gnss
+    fixes = sense(turning, {"gnss": {"model": "ideal", "latency_s": 0.13}})[0].gnss
     north, _ = metres_per_radian(0.6, 100.0)
     assert np.allclose(fixes.lat, 0.6 + 20.0 * (fixes.t - 0.13) / north, atol=1e-10)
     assert fixes.t[0] == pytest.approx(0.33)
@@ -142,7 +142,7 @@ def test_latency_stamps_late():
 
 def test_fixes_off_the_grid():
     turning = spinning()
-    fixes = sense(turning, {"gnss": {"time_offset_s": 0.0537}})[0].gnss
+    fixes = sense(turning, {"gnss": {"model": "ideal", "time_offset_s": 0.0537}})[0].gnss
     north, _ = metres_per_radian(0.6, 100.0)
     assert fixes.t[0] == pytest.approx(0.0537)
     assert np.allclose(fixes.lat, 0.6 + 20.0 * fixes.t / north, atol=1e-10)
@@ -163,7 +163,7 @@ def test_random_outages_keep_their_gaps(flight):
     wanted = {"count": 4, "duration_s": 30.0, "after_s": 40.0, "gap_s": 20.0}
     seen = []
     for run in range(30):
-        outages = sense(flight, {"gnss": {"random_outages": wanted}}, run=run)[0].gnss.outages
+        outages = sense(flight, {"gnss": {"model": "ideal", "random_outages": wanted}}, run=run)[0].gnss.outages
         assert len(outages) == 4
         assert outages[0][0] >= 40.0
         assert outages[-1][1] <= 280.0
@@ -186,7 +186,9 @@ def test_degraded_stretch_multiplies_errors_and_is_reported(flight):
 
 
 def test_outlier_bursts(flight):
-    log, errors = sense(flight, {"gnss": {"outliers": {"count": 3, "duration_s": 5.0, "offset_m": 80.0}}})
+    log, errors = sense(
+        flight, {"gnss": {"model": "ideal", "outliers": {"count": 3, "duration_s": 5.0, "offset_m": 80.0}}}
+    )
     bursts = errors.constants["gnss_outlier_bursts"]
     offset = np.linalg.norm(gnss_errors(flight, log.gnss)[:, :3], axis=1)
     inside = np.zeros(len(offset), dtype=bool)
