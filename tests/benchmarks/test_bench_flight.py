@@ -30,7 +30,7 @@ def _bare_loop(name, steps):
     config = _script(name)
 
     def bare():
-        simulator = Simulator(config, aircraft, folder, 0.005, 0)
+        simulator = Simulator(config, aircraft, folder, 1.0 / driver.STEP_HZ, 0)
         for throttle in simulator.throttles:
             throttle(aircraft.autopilot.throttle_trim)
         run = simulator.run
