@@ -30,7 +30,7 @@ def _bare_loop(name, steps):
     config = _script(name)
 
     def bare():
-        simulator = Simulator(config, aircraft, folder, 0.005, 0)
+        simulator = Simulator(config, aircraft, folder, 1.0 / driver.STEP_HZ, 0)
         for throttle in simulator.throttles:
             throttle(aircraft.autopilot.throttle_trim)
         run = simulator.run
@@ -75,5 +75,5 @@ def test_spline_truth(benchmark):
     aircraft, folder = load_aircraft("aerosonde")
     flown = driver.fly_script(_script("aerosonde"), aircraft, folder, 0)
     benchmark.group = "spline truth, 300 s at 100 Hz"
-    benchmark.extra_info["samples"] = len(flown.state)
-    benchmark(truth.make_trajectory, flown.state[:, :3], flown.state[:, 3:], 100.0, flown.start)
+    benchmark.extra_info["samples"] = len(flown.v_n)
+    benchmark(truth.make_trajectory, flown.v_n, flown.q_nb, 100.0, flown.start)
