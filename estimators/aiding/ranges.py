@@ -18,7 +18,8 @@ from testbed.base.errors import InputError
 from testbed.data.observations import GALILEO, GPS, GnssObservations
 from testbed.data.records import SensorLog
 from testbed.physics import earth
-from testbed.physics.ranging import OMEGA, C, geodetic_to_ecef, north_east_down, sight
+from testbed.physics.ecef import geodetic_to_ecef, north_east_down
+from testbed.physics.ranging import OMEGA, C, sight
 from testbed.physics.rotations import cross, matrix_rotate, matrix_rotate_inverse, quat_to_matrix
 
 SLOW_ERRORS = ("inflate", "white", "states")

@@ -13,7 +13,8 @@ from estimators.blocks import Block, Process, add_block
 from testbed.base.errors import InputError
 from testbed.data.observations import GPS, GnssObservations
 from testbed.data.records import SensorLog
-from testbed.physics.ranging import geodetic_to_ecef, north_east_down, range_rate, sight
+from testbed.physics.ecef import geodetic_to_ecef, north_east_down
+from testbed.physics.ranging import range_rate, sight
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from testbed.physics.ranging import ecef_to_geodetic, north_east_down, range_rate, sight
+from testbed.physics.ecef import ecef_to_geodetic, north_east_down
+from testbed.physics.ranging import range_rate, sight
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -22,7 +22,8 @@ from testbed.gnss.atmosphere import klobuchar, saastamoinen, tropo_mapping
 from testbed.gnss.constellation import DAY_S, week_seconds
 from testbed.gnss.receiver import Received, solve
 from testbed.gnss.rinex import LONGEST_AGE_S, Navigation, Record, read_header, read_navigation, usable
-from testbed.physics.ranging import L1, OMEGA, C, geodetic_to_ecef, north_east_down, sight
+from testbed.physics.ecef import geodetic_to_ecef, north_east_down
+from testbed.physics.ranging import L1, OMEGA, C, sight
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,8 @@ from testbed.gnss import orbits
 from testbed.gnss.atmosphere import iono_mapping, iono_tilt, klobuchar, saastamoinen, tropo_mapping
 from testbed.gnss.constellation import Sky
 from testbed.gnss.tracking import antenna_gain
-from testbed.physics.ranging import C, geodetic_to_ecef, north_east_down, range_rate, sight
+from testbed.physics.ecef import geodetic_to_ecef, north_east_down
+from testbed.physics.ranging import C, range_rate, sight
 from testbed.physics.rotations import quat_rotate_inverse
 from testbed.sensors.draws import Draws
 
