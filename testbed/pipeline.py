@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from testbed.flight.drive import DriveConfig
     from testbed.flight.own import TrajectoryConfig
 
-KEPT = ("extra", "phases", "name")
+KEPT = ("extra", "phases", "name", "own_times", "known", "arm_b")
 """Of a trajectory that is cut: what is no array of rows."""
 
 

@@ -15,8 +15,9 @@ from estimators.core.filter import attitude, triple
 from estimators.core.lanes import get, put, set_entry
 from estimators.core.lever_arm import lever_arm
 from testbed.base.errors import InputError
-from testbed.data.observations import GALILEO, GPS, GnssObservations
+from testbed.data.observations import GnssObservations
 from testbed.data.records import SensorLog
+from testbed.data.satellites import GALILEO, GPS
 from testbed.physics import earth
 from testbed.physics.ecef import geodetic_to_ecef, north_east_down
 from testbed.physics.ranging import OMEGA, C, sight

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from estimators.blocks import Block, Process, add_block
 from testbed.base.errors import InputError
-from testbed.data.observations import GPS, GnssObservations
+from testbed.data.observations import GnssObservations
 from testbed.data.records import SensorLog
+from testbed.data.satellites import GPS
 from testbed.physics.ecef import geodetic_to_ecef, north_east_down
 from testbed.physics.ranging import range_rate, sight
 

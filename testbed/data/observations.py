@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
 from testbed.data.records import Samples
+from testbed.data.satellites import name_of
 from testbed.data.shapes import check_arrays
 from testbed.data.specs import GnssSpec
 
 Array = NDArray[np.float64]
-
-GPS, GALILEO = 1, 2
-LETTERS = {GPS: "G", GALILEO: "E"}
 
 SCALARS = (
     "sv",
@@ -42,11 +40,6 @@ SCALARS = (
     "used",
 )
 VECTORS = ("x_e", "v_e")
-
-
-def name_of(code: float) -> str:
-    """Name of a satellite, such as G05, of its code: 100 times the system (1 GPS, 2 Galileo) plus its number."""
-    return f"{LETTERS[int(code) // 100]}{int(code) % 100:02d}"
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
-from testbed.data.observations import GALILEO, GPS, LETTERS, name_of
+from testbed.data.satellites import GALILEO, GPS, LETTERS, name_of
 from testbed.gnss import orbits
 from testbed.physics.ranging import OMEGA
 

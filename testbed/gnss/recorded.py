@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
-from testbed.data.observations import GALILEO, GPS, LETTERS, GnssObservations
+from testbed.data.observations import GnssObservations
+from testbed.data.satellites import GALILEO, GPS, LETTERS
 from testbed.data.specs import GnssSpec, SignalSpec
 from testbed.gnss import orbits, signals
 from testbed.gnss.atmosphere import klobuchar, saastamoinen, tropo_mapping

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
-from testbed.data.observations import GALILEO, GPS, name_of
+from testbed.data.satellites import GALILEO, GPS, name_of
 from testbed.gnss import orbits
 from testbed.gnss.constellation import GPS_EPOCH, KLOBUCHAR, SYSTEMS, Sky
 

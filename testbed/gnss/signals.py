@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from testbed.data.observations import GPS
+from testbed.data.satellites import GPS
 from testbed.data.specs import SignalSpec, SpaceSpec
 from testbed.gnss import orbits
 from testbed.gnss.atmosphere import iono_mapping, iono_tilt, klobuchar, saastamoinen, tropo_mapping

@@ -11,7 +11,7 @@ from testbed.base.errors import InputError
 from testbed.gnss import atmosphere, orbits, rinex
 from testbed.gnss.constellation import GALILEO_EPOCH_OF_SLOTS, GPS_EPOCH_OF_SLOTS, nominal_sky, sidereal_angle
 from testbed.gnss.receiver import dilution
-from testbed.physics import ranging
+from testbed.physics import ecef, ranging
 from testbed.physics.ranging import C
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -103,9 +103,9 @@ def test_places_go_back_and_forth():
         (np.pi / 2, 0.0, 10.0),
         (0.0, 1.0, 0.0),
     ]:
-        x = ranging.geodetic_to_ecef(lat, lon, h)
-        back = ranging.ecef_to_geodetic(*x)
-        assert np.allclose(ranging.geodetic_to_ecef(*back), x, rtol=0.0, atol=5e-9)
+        x = ecef.geodetic_to_ecef(lat, lon, h)
+        back = ecef.ecef_to_geodetic(*x)
+        assert np.allclose(ecef.geodetic_to_ecef(*back), x, rtol=0.0, atol=5e-9)
         assert back[2] == pytest.approx(h, abs=1e-8)
 
 
@@ -135,8 +135,8 @@ def test_nominal_constellations_have_the_dilution_of_an_independent_propagation(
     for system in systems:
         epoch = {"gps": GPS_EPOCH_OF_SLOTS, "galileo": GALILEO_EPOCH_OF_SLOTS}[system]
         place = np.radians(45.0), -sidereal_angle(epoch)
-        axes = np.array(ranging.north_east_down(*place))
-        skies.append((nominal_sky(epoch, [system]), ranging.geodetic_to_ecef(*place, 0.0), axes))
+        axes = np.array(ecef.north_east_down(*place))
+        skies.append((nominal_sky(epoch, [system]), ecef.geodetic_to_ecef(*place, 0.0), axes))
     seen, dops = [], []
     for t in np.arange(0.0, 10 * 86400.0, 900.0):
         lines, system_of = [], []

@@ -13,7 +13,7 @@ from testbed.data.observations import GnssObservations
 from testbed.gnss.receiver import EXCLUDED, Received, solve
 from testbed.gnss.recorded import read_rinex
 from testbed.gnss.sense import fixes_of
-from testbed.physics import earth, ranging
+from testbed.physics import earth, ecef
 from testbed.physics.interpolate import point_state
 from testbed.sensors.config import GnssConfig
 from testbed.sensors.draws import Draws
@@ -47,7 +47,7 @@ def white_epochs(epochs, seed, fault=0.0):
     """Epochs of eleven satellites with white errors at a fixed place; the first has a step of ``fault`` (m)."""
     rng = np.random.default_rng(seed)
     lat, lon = 0.8, 0.2
-    r, axes = np.array(ranging.geodetic_to_ecef(lat, lon, 100.0)), np.array(ranging.north_east_down(lat, lon))
+    r, axes = np.array(ecef.geodetic_to_ecef(lat, lon, 100.0)), np.array(ecef.north_east_down(lat, lon))
     azimuth = np.arange(11) * 2.0 * np.pi * 3 / 11
     elevation = np.radians([35.0, 12.0, 70.0, 25.0, 50.0, 15.0, 40.0, 20.0, 60.0, 30.0, 10.0])
     lines = np.column_stack(
@@ -125,7 +125,7 @@ def test_the_recorded_static_set():
     raw, start = read_rinex(OBSERVATIONS, DATA / "SEPT078M.21P")
     assert start.isoformat() == "2021-03-19T12:00:00" and len(raw.satellites()) > 18
     gps = GnssObservations(**{key: v[raw.sv < 200] if isinstance(v, np.ndarray) else v for key, v in vars(raw).items()})
-    truth = ranging.ecef_to_geodetic(-3962108.6617, 3381309.5232, 3668678.6410)
+    truth = ecef.ecef_to_geodetic(-3962108.6617, 3381309.5232, 3668678.6410)
     for observations, name in ((gps, "GPS"), (raw, "both")):
         fixes = fixes_of(observations)[0]
         off = np.array(earth.position_difference(fixes.lat, fixes.lon, fixes.h, *truth))

@@ -16,8 +16,8 @@ from estimators.methods.indirect_kf import IndirectKf
 from estimators.methods.tight_kf import TightKf
 from testbed.base.errors import InputError
 from testbed.base.schema import validate
-from testbed.data.observations import name_of
 from testbed.data.registry import list_estimators, make_estimator
+from testbed.data.satellites import name_of
 from testbed.sensors import sense_flight
 from testbed.sensors.config import InitialConfig
 from testbed.sensors.registry import SensorsConfig

@@ -105,7 +105,7 @@ DRAWN = [
     (name, variant)
     for name, path in list_scenarios().items()
     for variant in [None, *overlays_of(path)[1]]
-    if not (variant or name).startswith(("navego", "broad"))  # recordings
+    if not (variant or name).startswith("navego") and name != "broad"  # recordings
 ]
 
 

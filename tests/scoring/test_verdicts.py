@@ -330,10 +330,11 @@ def test_shipped_claims_say_whose_they_are():
         for variant in [None, *overlays_of(path)[1]]:
             for claim in load_scenario(name, variant=variant).claims:
                 assert (claim.origin == "own") == (
-                    name in ("quickstart", "car-drive") or claim.id.startswith("4-n") or claim.id in OWN
+                    name in OWN_SCENARIOS or claim.id.startswith("4-n") or claim.id in OWN
                 )
         assert "paper_improvement_pct = 0.0" not in path.read_text()
         assert tomllib.loads(path.read_text())["scenario"]["name"] == name
 
 
 OWN = ("4-final", "4-on-line")
+OWN_SCENARIOS = ("quickstart", "car-drive", "city-partial", "bank-and-lose", "jamming", "spoofing")

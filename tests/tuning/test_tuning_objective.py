@@ -9,7 +9,7 @@ import pytest
 from synthetic import sensor_log, weaving_flight
 
 from testbed.base.errors import InputError
-from testbed.data import registry
+from testbed.data import estimator, registry
 from testbed.scenario.windows import Window
 from testbed.tuning.config import RMSE_METRICS, TuneConfig
 from testbed.tuning.objective import DEVIANCE, Objective, Recording, full_score
@@ -242,5 +242,5 @@ def test_fast_paths_belong_to_the_class_that_defines_run():
         "below an own run": type("E", (type("F", (Parent,), {"run": lambda self, log: None}),), {}),
         "none at all": type("G", (), {"run": lambda self, log: None}),
     }
-    allowed = {key: registry.fast_path(kind, "searcher") is not None for key, kind in relatives.items()}
+    allowed = {key: estimator.fast_path(kind, "searcher") is not None for key, kind in relatives.items()}
     assert [key for key, fast in allowed.items() if fast] == ["renamed", "own of both"]

@@ -404,9 +404,9 @@ def test_parameters_out_of_range_are_refused(wrong):
 @pytest.mark.skipif(not NAVEGO.is_dir(), reason="the recording is not part of the project")
 def test_recording_of_others():
     """NaveGo's example: the RMSE of python-ins on the same files, with 5 % allowed (one noise draw, other initial step)."""
-    from testbed.formats.navego import load
+    from testbed.formats import import_log
 
-    recording = load(NAVEGO, start="reference")
+    recording = import_log("navego", NAVEGO, initial={"start": "reference"})
     rmse, _ = IndirectKf.searcher(recording.log, recording.reference, stride=1)(IndirectKf())
     peer = np.array([0.333, 0.406, 0.515, 0.022, 0.021, 0.013, 0.211, 0.212, 0.925])
     assert (rmse < 1.05 * peer).all(), rmse
