@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
-from estimators.blocks.satellites import iono_slant, iono_tilt, observations, tropo_slant
+from estimators.blocks.satellites import observations
 from estimators.core.filter import attitude, triple
 from estimators.core.lanes import get, put, set_entry
 from estimators.core.lever_arm import lever_arm
@@ -19,6 +19,7 @@ from testbed.data.observations import GnssObservations
 from testbed.data.records import SensorLog
 from testbed.data.satellites import GALILEO, GPS
 from testbed.physics import earth
+from testbed.physics.delays import iono_mapping, iono_tilt, tropo_mapping
 from testbed.physics.ecef import geodetic_to_ecef, north_east_down
 from testbed.physics.ranging import OMEGA, C, sight
 from testbed.physics.rotations import cross, matrix_rotate, matrix_rotate_inverse, quat_to_matrix
@@ -64,10 +65,10 @@ def pseudoranges(log: SensorLog, columns: Columns, slow_errors: str = "inflate")
             raw.pseudorange + raw.clock - raw.iono - raw.tropo,
             raw.x_e,
             (raw.systems() == GALILEO) & both,
-            iono_slant(raw.elevation),
-            iono_slant(raw.elevation) * iono_tilt(raw.elevation) * np.cos(raw.azimuth),
-            iono_slant(raw.elevation) * iono_tilt(raw.elevation) * np.sin(raw.azimuth),
-            tropo_slant(raw.elevation),
+            iono_mapping(raw.elevation),
+            iono_mapping(raw.elevation) * iono_tilt(raw.elevation) * np.cos(raw.azimuth),
+            iono_mapping(raw.elevation) * iono_tilt(raw.elevation) * np.sin(raw.azimuth),
+            tropo_mapping(raw.elevation),
             np.searchsorted(np.unique(raw.sv), raw.sv),
         ]
     ).astype(float)

@@ -14,6 +14,7 @@ from testbed.base.errors import InputError
 from testbed.data.observations import GnssObservations
 from testbed.data.records import SensorLog
 from testbed.data.satellites import GPS
+from testbed.physics.delays import GRADIENT_SHARE, RIPPLE_SHARE, RIPPLE_TIME_S, iono_mapping
 from testbed.physics.ecef import geodetic_to_ecef, north_east_down
 from testbed.physics.ranging import range_rate, sight
 
@@ -23,9 +24,6 @@ CLOCK_STD, DRIFT_STD = 50.0, 1.0
 """What the start of the clock adds to three times the initial errors, m and m/s: ranges of a first epoch are that good."""
 ISB_STD, ISB_WALK = 10.0, 1e-6
 """Between the clocks of two systems: m at the start (broadcast offsets reach it), and (1 mm/√s)²."""
-GRADIENT_SHARE, RIPPLE_SHARE, RIPPLE_TIME_S = 0.5, 0.2, 600.0
-"""Of the ionosphere's residual, over that at zenith: its gradient over 1000 km, what a line of sight has for itself, and how
-long that lasts."""
 SMALLEST_VARIANCE = 1e-12
 """m²: of an error that a specification does not have, so that P stays regular."""
 
@@ -102,27 +100,12 @@ def ranges(log: SensorLog) -> Process:
     gps = codes // 100 == GPS
     orbit = np.where(gps, space.gps_sigma, space.galileo_sigma)
     times = np.where(gps, space.gps_time_s, space.galileo_time_s)
-    slant = np.array([np.mean(iono_slant(raw.elevation[raw.sv == code])) for code in codes])
+    slant = np.array([np.mean(iono_mapping(raw.elevation[raw.sv == code])) for code in codes])
     ripple = RIPPLE_SHARE * space.iono_sigma * slant
     variance = np.maximum(orbit**2 + ripple**2, SMALLEST_VARIANCE)
     drive = 2.0 * orbit**2 / times + 2.0 * ripple**2 / RIPPLE_TIME_S
     zero = np.zeros(len(codes))
     return Process(zero, np.diag(variance), drive, drive / (2.0 * variance), zero)
-
-
-def iono_slant(elevation: Array) -> Array:
-    """Slant over zenith delay of a thin shell at 350 km."""
-    return 1.0 / np.sqrt(1.0 - (0.948 * np.cos(elevation)) ** 2)
-
-
-def tropo_slant(elevation: Array) -> Array:
-    """Slant over zenith delay of the troposphere (RTCA DO-229)."""
-    return 1.001 / np.sqrt(0.002001 + np.sin(elevation) ** 2)
-
-
-def iono_tilt(elevation: Array) -> Array:
-    """How far the pierce point lies from the antenna, in 1000 km: 0.35 cot E, at most 1."""
-    return np.minimum(0.35 / np.tan(np.maximum(elevation, 1e-3)), 1.0)
 
 
 add_block(

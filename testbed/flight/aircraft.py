@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field
 from testbed.base.errors import InputError, nearest, shown
 from testbed.base.resources import aircraft_root
 from testbed.base.schema import Table, read_toml, validate
-from testbed.flight.models import check_model, files_of
+from testbed.flight.models import Correction, check_model, files_of
 
 Positive = Annotated[float, Field(gt=0)]
 _STEP = r"[A-Za-z_][A-Za-z0-9_.-]*(\[[0-9]{1,3}\])?"
@@ -30,15 +30,6 @@ def _property(name: str) -> str:
 
 Property = Annotated[str, AfterValidator(_property)]
 """A name in JSBSim's property tree; JSBSim aborts on a malformed one."""
-
-
-class Correction(Table):
-    """``[[model.corrections]]``: an error of a model of the jsbsim package, put right in the copy that is loaded."""
-
-    component: str = Field(min_length=1, description="Name of the flight-control component in the model's XML")
-    input: str = Field(min_length=1, description="The input as the model has it")
-    becomes: str = Field(min_length=1, description="The input as it should be")
-    why: str = Field(min_length=1, description="What is wrong with it")
 
 
 class Model(Table):

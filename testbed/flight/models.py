@@ -14,15 +14,15 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.parsers import expat
 
+from pydantic import Field
+
 from testbed.base.errors import InputError, shown
 from testbed.base.resources import cache_root
-
-if TYPE_CHECKING:
-    from testbed.flight.aircraft import Correction
+from testbed.base.schema import Table
 
 OPENING = ("input", "output")
 """Elements that open files and sockets where they are direct children of a file's root."""
@@ -119,6 +119,15 @@ def parse(file: Path) -> ElementTree.Element:
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror})") from None
     return root
+
+
+class Correction(Table):
+    """``[[model.corrections]]``: an error of a model of the jsbsim package, put right in the copy that is loaded."""
+
+    component: str = Field(min_length=1, description="Name of the flight-control component in the model's XML")
+    input: str = Field(min_length=1, description="The input as the model has it")
+    becomes: str = Field(min_length=1, description="The input as it should be")
+    why: str = Field(min_length=1, description="What is wrong with it")
 
 
 @contextmanager

@@ -1,7 +1,8 @@
-"""Delays in ionosphere and troposphere: the models that receivers correct with, and how delays grow towards the horizon.
+"""Delays in ionosphere and troposphere: the models that receivers correct with.
 
 Klobuchar: IS-GPS-200, figure 20-4. Saastamoinen with the standard atmosphere: *Bulletin géodésique* 107 (1973), as in the
-usual receiver software (humidity 70 %). Mapping of the troposphere: RTCA DO-229. Delays in m, angles in rad.
+usual receiver software (humidity 70 %). How
+delays grow towards the horizon is in `testbed.physics.delays`. Delays in m, angles in rad.
 """
 
 from __future__ import annotations
@@ -50,27 +51,3 @@ def saastamoinen(lat, h):
     vapour = 6.108 * HUMIDITY * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
     dry = 0.0022768 * pressure / (1.0 - 0.00266 * np.cos(2.0 * lat) - 0.00028 * h / 1e3)
     return dry, 0.002277 * (1255.0 / kelvin + 0.05) * vapour
-
-
-@njit(cache=True)
-def tropo_mapping(elevation):
-    """Slant over zenith delay of the troposphere (RTCA DO-229, appendix A.4.2.4)."""
-    s = np.sin(elevation)
-    return 1.001 / np.sqrt(0.002001 + s * s)
-
-
-@njit(cache=True)
-def iono_mapping(elevation):
-    """Slant over zenith delay of a thin shell at 350 km: (1 - (0.948 cos E)²)^(-1/2)."""
-    x = 0.948 * np.cos(elevation)
-    return 1.0 / np.sqrt(1.0 - x * x)
-
-
-@njit(cache=True)
-def iono_tilt(elevation):
-    """How a gradient of the ionosphere, per 1000 km, enters a slant delay before the mapping: 0.35 cot E, at most 1.
-
-    The pierce point lies 350 km cot E from the antenna, and less as the Earth curves away: hence the limit.
-    """
-    s = np.sin(elevation)
-    return min(0.35 * np.cos(elevation) / max(s, 1e-3), 1.0)

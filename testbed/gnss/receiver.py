@@ -172,18 +172,11 @@ def _normal_equations(received, first, last, work, x):
         distance, u = sight((s[0], s[1], s[2]), (x[0], x[1], x[2]))
         clock = 2 + received.system[k]
         left = w * (received.pseudorange[k] - distance - x[clock])
+        _add_line(normal, u, clock, w)
         for i in range(3):
             right[i] -= u[i] * left
-            for j in range(i, 3):
-                normal[i, j] += w * u[i] * u[j]
-            normal[i, clock] -= w * u[i]
-        normal[clock, clock] += w
         right[clock] += left
-    for i in range(UNKNOWNS):
-        if normal[i, i] == 0.0:
-            normal[i, i] = 1.0
-        for j in range(i):
-            normal[i, j] = normal[j, i]
+    _fill(normal)
 
 
 @njit(cache=True, nogil=True)
@@ -307,6 +300,7 @@ def _dilution(received, first, last, work, x):
 
 @njit(cache=True, nogil=True)
 def _add_line(normal, u, clock, w):
+    """What one satellite adds to the upper triangle of H' W H."""
     for i in range(3):
         for j in range(i, 3):
             normal[i, j] += w * u[i] * u[j]
@@ -316,6 +310,7 @@ def _add_line(normal, u, clock, w):
 
 @njit(cache=True, nogil=True)
 def _fill(normal):
+    """The lower triangle; and a unit for an unknown that no line has."""
     for i in range(normal.shape[0]):
         if normal[i, i] == 0.0:
             normal[i, i] = 1.0

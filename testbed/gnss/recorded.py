@@ -19,10 +19,11 @@ from testbed.data.observations import GnssObservations
 from testbed.data.satellites import GALILEO, GPS, LETTERS
 from testbed.data.specs import GnssSpec, SignalSpec
 from testbed.gnss import orbits, signals
-from testbed.gnss.atmosphere import klobuchar, saastamoinen, tropo_mapping
+from testbed.gnss.atmosphere import klobuchar, saastamoinen
 from testbed.gnss.constellation import DAY_S, week_seconds
 from testbed.gnss.receiver import Received, solve
 from testbed.gnss.rinex import LONGEST_AGE_S, Navigation, Record, read_header, read_navigation, usable
+from testbed.physics.delays import tropo_mapping
 from testbed.physics.ecef import geodetic_to_ecef, north_east_down
 from testbed.physics.ranging import L1, OMEGA, C, sight
 

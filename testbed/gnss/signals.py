@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from testbed.data.satellites import GPS
 from testbed.data.specs import SignalSpec, SpaceSpec
 from testbed.gnss import orbits
-from testbed.gnss.atmosphere import iono_mapping, iono_tilt, klobuchar, saastamoinen, tropo_mapping
+from testbed.gnss.atmosphere import klobuchar, saastamoinen
 from testbed.gnss.constellation import Sky
 from testbed.gnss.tracking import antenna_gain
+from testbed.physics.delays import GRADIENT_SHARE, RIPPLE_SHARE, RIPPLE_TIME_S, iono_mapping, iono_tilt, tropo_mapping
 from testbed.physics.ecef import geodetic_to_ecef, north_east_down
 from testbed.physics.ranging import C, range_rate, sight
 from testbed.physics.rotations import quat_rotate_inverse
@@ -30,10 +31,6 @@ from testbed.sensors.draws import Draws
 Array = NDArray[np.float64]
 
 CHIP_M = C / 1.023e6
-GRADIENT_SHARE = 0.5
-"""Gradient of the ionosphere's residual over 1000 km, over the residual at zenith."""
-RIPPLE_SHARE, RIPPLE_TIME_S = 0.2, 600.0
-"""What each line of sight has for itself, over the residual at zenith."""
 FADING_DB, FADING_TIME_S = 1.0, 30.0
 
 (X, Y, Z, VX, VY, VZ, CLOCK, CLOCK_RATE, RANGE, RATE, ELEVATION, AZIMUTH, GAIN, ANGLE, IONO, TROPO) = range(16)

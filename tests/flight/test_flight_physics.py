@@ -8,7 +8,8 @@ from flights import flight, straight, turn
 
 from testbed.base.errors import InputError
 from testbed.flight import driver, fly_flight, models
-from testbed.flight.aircraft import Correction, load_aircraft
+from testbed.flight.aircraft import load_aircraft
+from testbed.flight.models import Correction
 from testbed.flight.simulator import Simulator
 from testbed.physics import earth
 
