@@ -7,17 +7,20 @@ the data set marks, as a table in Markdown. A mean over trials is what the data 
 from __future__ import annotations
 
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from testbed import pipeline
+from testbed.base.errors import MissingExtra, tell_user
 from testbed.data.records import Array
 from testbed.data.registry import make_estimator
 from testbed.scenario import load_scenario
 
 QUANTITIES = ("attitude", "heading", "inclination")
 WINDOW = "phase_1_movement"
+_tell_once = cache(tell_user)
 
 
 def of_trial(folder: Path, trial: str, variant: str | None) -> dict[str, Array]:
@@ -28,7 +31,11 @@ def of_trial(folder: Path, trial: str, variant: str | None) -> dict[str, Array]:
     log, _ = pipeline.sense(scenario, truth)
     out = {}
     for entry in scenario.estimators:
-        solution = make_estimator(entry.name, **entry.params).run(log)
+        try:
+            solution = make_estimator(entry.name, **entry.params).run(log)
+        except MissingExtra as error:
+            _tell_once(f"note: {error}; its column is left out")
+            continue
         table = pipeline.score(scenario, truth, solution, log).set_index(["window", "metric"])["value"]
         out[entry.row] = np.array([table[WINDOW, f"rmse_{q}_deg"] for q in QUANTITIES])
     return out
