@@ -83,7 +83,7 @@ def analyse(frame: pd.DataFrame, names: Sequence[str], outages: Spans = ()) -> l
                 nu[good],
                 s[good],
                 autocorrelation(t[good], scaled),
-                1.96 / float(np.sqrt(good.sum())),
+                1.96 / float(np.sqrt(len(np.unique(t[good])))),
                 float(normaltest(scaled).pvalue),
             )
         )
@@ -117,16 +117,23 @@ def shown(names: Sequence[str]) -> list[int]:
 
 
 def autocorrelation(t: NDArray[np.float64], values: NDArray[np.float64], lags: int = LAGS) -> NDArray[np.float64]:
-    """(lags,) from lag 1 on, of the values less their mean; pairs are formed by time, so that none spans a gap."""
-    index = np.rint((t - t[0]) / np.median(np.diff(t))).astype(int)
-    grid = np.full(index[-1] + 1, np.nan)
-    grid[index] = values - values.mean()
-    power = float(np.nanmean(grid**2))
+    """(lags,) from lag 1 on, of the values less their mean; pairs are formed by time, so that none spans a gap.
+
+    Values of one time, such as those of several satellites, count as one: their sum over the root of their number, which
+    has their variance where they are independent.
+    """
     out = np.full(lags, np.nan)
-    for lag in range(1, min(lags, len(grid) - 1) + 1):
-        products = grid[lag:] * grid[:-lag]
-        if np.isfinite(products).any():
-            out[lag - 1] = float(np.nanmean(products)) / power if power > 0.0 else np.nan
+    step = np.diff(np.unique(t))
+    if not len(step):
+        return out
+    index, which, count = np.unique(np.rint((t - t.min()) / np.median(step)), return_inverse=True, return_counts=True)
+    x = np.bincount(which, values - values.mean()) / np.sqrt(count)
+    power = float(np.mean(x**2))
+    for lag in range(1, lags + 1):
+        later = np.minimum(np.searchsorted(index, index + lag), len(index) - 1)
+        pairs = index[later] == index + lag
+        if pairs.any() and power > 0.0:
+            out[lag - 1] = float(np.mean(x[pairs] * x[later[pairs]])) / power
     return out
 
 

@@ -99,3 +99,13 @@ def test_filters_with_the_same_innovations_share_a_row(tmp_path: Path) -> None:
     (details / "innovations-b.parquet").write_bytes((details / "innovations-a.parquet").read_bytes())
     table = innovations.table(load_result(folder))
     assert table is not None and [name for name, _ in table.rows] == ["a, b", "c"]
+
+
+def test_values_of_one_time_count_as_one():
+    """Nine satellites that swing together from epoch to epoch; alone, each pair of rows would be of one time or of two."""
+    epochs = np.repeat(np.arange(40.0), 9)
+    swing = np.where(epochs % 2.0 == 0.0, 1.0, -1.0)
+    assert innovations.autocorrelation(epochs, swing)[:3] == pytest.approx([-1.0, 1.0, -1.0], abs=1e-12)
+    table = pd.DataFrame({"time_s": epochs, "nu_0": swing, "s_0": 1.0})
+    assert innovations.analyse(table, ["range"])[0].bound == pytest.approx(1.96 / np.sqrt(40.0))
+    assert np.isnan(innovations.autocorrelation(np.zeros(5), np.arange(5.0))).all(), "one time has no lags"
