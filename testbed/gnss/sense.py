@@ -119,6 +119,17 @@ def _check(config: SatellitesConfig, sky: Sky, trajectory: Trajectory) -> None:
                 f"[sensors.gnss.satellites] {key}: [{stretch.start_s:g}, {stretch.end_s:g}] lies outside of the flight,"
                 f" which lasts from {start:g} to {end:g} s"
             )
+    spells = {}
+    if config.spoofing is not None:
+        spells["spoofing"] = (config.spoofing.start_s, np.inf)
+    if config.jamming is not None:
+        spells["jamming"] = (config.jamming.js_db[0][0], config.jamming.js_db[-1][0])
+    for key, spell in spells.items():
+        if spell[0] > end or spell[1] < start:
+            raise InputError(
+                f"[sensors.gnss.satellites] {key}: begins at {spell[0]:g} s, but the flight lasts from {start:g} to {end:g} s:"
+                " it has no effect"
+            )
     named = [loss.sv for loss in (*config.losses, *config.faults)]
     named += [name for keep in config.keep for name in keep.satellites or ()]
     for name in named:
