@@ -26,7 +26,11 @@ KEPT = 3
 """Folders of earlier sources that stay, so that going back and forth between two of them costs nothing."""
 IN_USE_S = 3600.0
 """A folder used within the last hour stays as well: a process of earlier sources may still compile."""
-_KERNELS = re.compile(rb"^from numba[\w.]* import [^\n]*\b(?:njit|cfunc|overload|intrinsic)\b", re.M)
+_KERNELS = re.compile(
+    rb"^from numba[\w.]* import [^\n]*\b(?:njit|cfunc|overload|intrinsic)\b"
+    rb"|^from estimators\.core\.timeline import [^\n]*\binner\b",
+    re.M,
+)
 _IS_PART = re.compile(r"estimators\.(?:aiding|blocks|policies)\b")
 """Plain functions that are compiled where they are used."""
 _IMPORT = re.compile(rb"^from ((?:testbed|estimators)[\w.]*) import (\([^)]*\)|[^\n#]*)", re.M)

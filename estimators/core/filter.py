@@ -29,7 +29,7 @@ from estimators.core.propagate import (
     turn_velocity_errors,
 )
 from estimators.core.strapdown import advance, compensate, coning_sculling
-from estimators.core.timeline import INLINED, steps
+from estimators.core.timeline import INLINED, inner, steps
 from estimators.core.update import innovation_covariance, update
 from testbed.physics import earth
 from testbed.physics.rotations import (
@@ -277,7 +277,7 @@ def mean_matrix(a, b):
     )
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@inner
 def begin(model, k, whole):
     """Open IMU sample ``k``: its coupling, and the coning and sculling of its whole interval (s)."""
     clean, before, corrections = model.work.clean, model.work.whole, model.work.corrections
@@ -291,14 +291,14 @@ def begin(model, k, whole):
     put_triple(corrections, 3, sculling)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@inner
 def predict(model, k, dt, part):
     """Carry state and covariance ``dt`` (s) on within IMU sample ``k``, ``part`` of its interval."""
     motion, middle = move(model, k, dt, part)
     spread(model, motion, middle, dt)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def spread(model, motion, middle, dt):
     """Carry the covariance over a step of ``dt`` that `move` made."""
     propagate(model.p, model.propagation, model.coupling, motion, dt)
@@ -306,7 +306,7 @@ def spread(model, motion, middle, dt):
     add_noise(model.p, middle, model.inputs.white, model.inputs.drive, dt)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def move(model, k, dt, part):
     """The state's share of `predict`: returns the motion as `propagate` takes it, and C_nb in the middle of the step."""
     state, clean, corrections = model.state, model.work.clean, model.work.corrections
@@ -343,7 +343,7 @@ def move(model, k, dt, part):
     return (rates, force, v), middle
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def observe(model, k, e):
     """Residual, H and R of event ``e`` at the present state into the work arrays; returns the number of rows."""
     events = model.events
@@ -360,7 +360,7 @@ def observe(model, k, e):
     return count
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@inner
 def correct(model, k, e):
     """Use event ``e`` at the present state, which lies within IMU sample ``k``."""
     x, p, kind = model.work.x, model.p, model.events.kind[e]
@@ -375,7 +375,7 @@ def correct(model, k, e):
     note_update(model.keep, model, e, count, fading)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@inner
 def record(model, k):
     """Keep what is known at the end of IMU sample ``k``."""
     note_sample(model.keep, model, k)
@@ -384,7 +384,7 @@ def record(model, k):
 steps(Model, begin, predict, correct, record)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@inner
 def retract(model):
     """Add the correction ``x`` to the nominal state and carry P to where that moves it.
 
@@ -451,7 +451,7 @@ def _jacobian_times(turn, a):
     )
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def _clean(model, k):
     """The IMU sample without its estimated errors, into ``work.clean``."""
     spans, clean, state, imu = model.coupling.spans, model.work.clean, model.state, model.inputs.imu[k]
@@ -466,7 +466,7 @@ def _clean(model, k):
         put(clean, 3 + i, force)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@inner
 def _estimate_sample(model, k):
     """What the sensors would have felt without errors, into ``work.sample``: errors multiply the truth, not the output.
 
@@ -499,7 +499,7 @@ def _judge(model, kind, residual, h, r):
     raise NotImplementedError("kernels only")
 
 
-@overload(_couple_blocks)
+@overload(_couple_blocks, jit_options=INLINED)
 def _couple(model, k):
     call = call_couple if _is_single(model) else call_couple_lanes
 
@@ -515,7 +515,7 @@ def _couple(model, k):
     return couple
 
 
-@overload(_measure)
+@overload(_measure, jit_options=INLINED)
 def _take_measure(model, kind, e, residual, h):
     call = call_measure if _is_single(model) else call_measure_lanes
 
@@ -527,7 +527,7 @@ def _take_measure(model, kind, e, residual, h):
     return measure
 
 
-@overload(_judge)
+@overload(_judge, jit_options=INLINED)
 def _call_judge(model, kind, residual, h, r):
     if not _is_single(model):
         return _judge_lanes

@@ -21,7 +21,7 @@ from estimators.core.composition import Prepared, make_model, make_recording, ma
 from estimators.core.filter import INVARIANT, REJECTED, Model, begin, correct, move, record, retract, spread
 from estimators.core.lanes import WIDTH, aligned
 from estimators.core.propagate import NAV, blocks_of, make_covariance, transition
-from estimators.core.timeline import SAME_TIME, Timeline, steps, walk
+from estimators.core.timeline import SAME_TIME, Timeline, inner, steps, walk
 from testbed.data.records import NavSolution
 from testbed.physics.rotations import cross
 
@@ -252,7 +252,7 @@ def sweep(taped, adjoint, stop):
                 _before_scalar(adjoint, tape.h[update, a], tape.gain[update, a], tape.scalars[update, a])
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@inner
 def _smoothed(model, state, p, adjoint):
     """The model's state and covariance: those of a sample, ``state`` and ``p``, moved by what came after it."""
     lam, info, product, n = adjoint.lam, adjoint.info, adjoint.scratch, p.shape[0]

@@ -17,11 +17,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numba.extending import overload
+from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
 
-INLINED = {"forceinline": True}
-"""For what takes a whole model: by value it is hundreds of numbers, and to hand them on takes 50 ns."""
+INLINED = {"forceinline": True, "nogil": True, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""For what takes a whole model: by value it is hundreds of numbers, and to hand them on takes 50 ns. Nor is it called from
+Python, where unpacking a model would be a fifth of what there is to compile."""
+inner = register_jitable(**INLINED)
+"""Decorator of a function that takes a whole model: compiled where a kernel calls it, and in no other place."""
 SAME_TIME = 1e-7
 """Times (s) closer than this are one: a step so short would only add rounding."""
 
@@ -55,25 +58,44 @@ def steps(
     correct: Callable[..., Any],
     record: Callable[..., Any],
 ) -> None:
-    """Tie four kernels to the NamedTuple class of a filter's model."""
-    _STEPS[model] = (begin, predict, correct, record)
+    """Tie four kernels to the NamedTuple class of a filter's model; `walk` is compiled for it with them inside."""
+    _STEPS[model] = tuple(getattr(kernel, "py_func", kernel) for kernel in (begin, predict, correct, record))
 
 
-def _step(number: int) -> Any:
-    """A function that calls step ``number`` of whatever model it is given; chosen when it is compiled."""
-
-    def step(model, *rest):
-        raise NotImplementedError("kernels only")
-
-    @overload(step, jit_options=INLINED)
-    def choose(model, *rest):
-        kernel = _STEPS[model.instance_class][number]
-        return lambda model, *rest: kernel(model, *rest)
-
-    return step
+def _begin(model, k, whole):
+    raise NotImplementedError("kernels only")
 
 
-_begin, _predict, _correct, _record = (_step(number) for number in range(4))
+def _predict(model, k, dt, part):
+    raise NotImplementedError("kernels only")
+
+
+def _correct(model, k, e):
+    raise NotImplementedError("kernels only")
+
+
+def _record(model, k):
+    raise NotImplementedError("kernels only")
+
+
+@overload(_begin, jit_options=INLINED)
+def _choose_begin(model, k, whole):
+    return _STEPS[model.instance_class][0]
+
+
+@overload(_predict, jit_options=INLINED)
+def _choose_predict(model, k, dt, part):
+    return _STEPS[model.instance_class][1]
+
+
+@overload(_correct, jit_options=INLINED)
+def _choose_correct(model, k, e):
+    return _STEPS[model.instance_class][2]
+
+
+@overload(_record, jit_options=INLINED)
+def _choose_record(model, k):
+    return _STEPS[model.instance_class][3]
 
 
 @njit(cache=True, nogil=True, _nrt=False)

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from estimators.core.timeline import steps
+from estimators.core.timeline import inner, steps
 from estimators.methods.direct_kernels import Inputs, Work, antenna, begin, stretch
 from estimators.methods.motion_models import N_STATES, Motion, advance
 
@@ -30,7 +30,7 @@ class Coasting(NamedTuple):
     """(N,15): the state after each IMU sample, overwritten."""
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def predict(model, k, dt, part):
     """Carry the state ``dt`` (s) on within IMU sample ``k``."""
     moved = model.work.rows[0]
@@ -39,12 +39,12 @@ def predict(model, k, dt, part):
         model.state[i] = moved[i]
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def correct(model, k, e):
     """There is nothing to correct by."""
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def record(model, k):
     """Keep the state."""
     for i in range(N_STATES):

@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.filter import keeper, note_sample
-from estimators.core.timeline import steps
+from estimators.core.timeline import inner, steps
 from estimators.core.update import update
 from estimators.methods.ahrs_field import FieldWatch, doubt_of_field
 from testbed.physics.rotations import (
@@ -141,12 +141,12 @@ def empty_recording(samples: int, stride: int) -> AttitudeRecording:
     )
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def begin(model, k, whole):
     """Nothing: the rate is taken as constant over a sample, and the attitude at its half turns the specific force."""
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def predict(model, k, dt, part):
     """Turn the attitude by ``dt`` (s) of sample ``k``, add its specific force to the velocity, and sum what the covariance needs."""
     state, gyro, accel, sums = model.state, model.inputs.gyro, model.inputs.accel, model.work.sums
@@ -169,7 +169,7 @@ def predict(model, k, dt, part):
     sums[SINCE] += dt
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def correct(model, k, e):
     """A field sample waits for the next step of the covariance; a speed is used at once."""
     z, kind, sums = model.inputs.z, model.inputs.kind[e], model.work.sums
@@ -184,7 +184,7 @@ def correct(model, k, e):
         use_speed(model, k, e)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def record(model, k):
     """End IMU sample ``k``: watch for rest; every `Settings.stride` samples carry the covariance and correct."""
     watch_rest(model.inputs, k, model.settings, model.work.rest)
@@ -299,7 +299,7 @@ def add_correction(state, x):
         state[4 + i] += x[3 + i]
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def use_heading(model):
     """The mean field since the last step corrects the heading alone: the row of the gain that is the heading's.
 
@@ -345,7 +345,7 @@ def turn_heading(p, ph, gain, variance):
     p[2, 2] += gain * (gain * variance - 2.0 * ph[2])
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@inner
 def use_speed(model, k, e):
     """Horizontal velocity from an airspeed along x, in the still air's frame, or from a receiver at its antenna."""
     inputs, settings, state, work = model.inputs, model.settings, model.state, model.work

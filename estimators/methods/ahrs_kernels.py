@@ -21,7 +21,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from estimators.core.filter import keeper, note_sample
-from estimators.core.timeline import INLINED, steps
+from estimators.core.timeline import INLINED, inner, steps
 from estimators.core.update import cholesky
 from testbed.physics.rotations import quat_multiply, quat_normalize, quat_to_matrix, rotvec_to_quat
 
@@ -164,19 +164,19 @@ def _leave_gain(gain, model, k):
 gain_hook(OwnGain, _leave_gain)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def begin(model, k, whole):
     """Nothing is to be opened: an event closes each sample."""
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def predict(model, k, dt, part):
     """Carry state and covariance over IMU sample ``k``, which lasts the mean interval: that is what the figures are of."""
     dq = turn(model.state, model.samples.gyro[k], model.figures)
     carry(model.p, dq, model.figures)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def correct(model, k, e):
     """Gravity, and the field where a sample of it arrives with IMU sample ``k``."""
     samples, work, figures = model.samples, model.work, model.figures
@@ -189,7 +189,7 @@ def correct(model, k, e):
     add_correction(model.state, work.x)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def record(model, k):
     """Keep what is known at the end of IMU sample ``k``."""
     note_sample(model.keep, model, k)
@@ -255,7 +255,7 @@ def carry(p, dq, figures):
         p[9 + i, 9 + i] += figures.mag_growth
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def observe(model, k):
     """z and what the attitude predicts, into ``work``; returns whether there is a field sample."""
     state, samples, z, seen = model.state, model.samples, model.work.z, model.work.seen

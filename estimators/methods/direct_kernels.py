@@ -16,7 +16,7 @@ from estimators.core import strong_tracking
 from estimators.core.filter import note_sample, note_update
 from estimators.core.lever_arm import lever_arm
 from estimators.core.strapdown import coning_sculling
-from estimators.core.timeline import steps
+from estimators.core.timeline import inner, steps
 from estimators.core.update import innovation_covariance, update, whiten
 from estimators.methods.motion_models import N_STATES, Motion, Step, add_process_noise, advance, transition
 from testbed.physics import earth
@@ -247,7 +247,7 @@ def wrap_angles(x):
         x[i] = wrap(x[i])
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def begin(model, k, whole):
     """Open IMU sample ``k``: coning and sculling of its interval (s), biases of the state removed."""
     x, corrections = model.state, model.work.corrections
@@ -266,7 +266,7 @@ def begin(model, k, whole):
         corrections[3 + i] = sculling[i]
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def stretch(model, k, dt, part):
     """The `Step` of ``dt`` (s) within IMU sample ``k``, ``part`` of its interval."""
     work = model.work
@@ -275,7 +275,7 @@ def stretch(model, k, dt, part):
     return Step(model.inputs.imu[k], work.part, dt)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def record(model, k):
     """Keep the state, and sigmas with the attitude as a rotation vector in n."""
     x, p, keep = model.state, model.p, model.keep
@@ -290,13 +290,13 @@ def record(model, k):
         )
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def predict(model, k, dt, part):
     """Carry the filter ``dt`` (s) on within IMU sample ``k``."""
     carry(model.motion, model.state, model.p, stretch(model, k, dt, part), model.work.phi, model.work.rows)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def correct(model, k, e):
     """Use fix ``e``, which lies within IMU sample ``k``."""
     inputs = model.inputs

@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.filter import note_update
-from estimators.core.timeline import SAME_TIME, steps
+from estimators.core.timeline import SAME_TIME, inner, steps
 from estimators.core.update import update
 from estimators.methods.direct_kernels import (
     MEASUREMENTS,
@@ -301,7 +301,7 @@ def interact(modes, branches, mixing):
     mix(modes.probability, modes.transition, states, covariances, modes.predicted, work[0], work[1], work[2])
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def predict(model, k, dt, part):
     """Carry every branch ``dt`` (s) on within IMU sample ``k``."""
     step, branches, acceleration, work = stretch(model, k, dt, part), model.branches, model.acceleration, model.work
@@ -314,7 +314,7 @@ def predict(model, k, dt, part):
     acceleration.since[0] += dt
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def correct(model, k, e):
     """Use fix ``e``, which lies within IMU sample ``k``, in every branch; then the branches interact."""
     inputs, branches, modes, mixing, work = model.inputs, model.branches, model.modes, model.mixing, model.work
@@ -338,7 +338,7 @@ def correct(model, k, e):
     note_update(model.keep, model, e, MEASUREMENTS, 1.0)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def record(model, k):
     """Keep the mixture; all of its covariance where a snapshot is taken."""
     states, covariances, weights = model.branches.states, model.branches.covariances, model.modes.predicted

@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.filter import Recording, note_sample, note_update
-from estimators.core.timeline import steps
+from estimators.core.timeline import inner, steps
 from estimators.core.update import innovation_covariance, update
 from testbed.physics import earth
 from testbed.physics.rotations import quat_multiply, quat_normalize, quat_rotate, rotvec_to_quat
@@ -149,7 +149,7 @@ def error_matrix(lat, v_n, force, radius, a):
     a[8, 5] = -1.0
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def begin(model, k, whole):
     """Error matrix of IMU sample ``k``, at the INS's place when it opens and with the mean of its force over the sample."""
     ins = model.ins
@@ -159,7 +159,7 @@ def begin(model, k, whole):
     error_matrix(ins.lla[k, 0], ins.velocity[k], force, model.radius, model.work.a)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def predict(model, k, dt, part):
     """x = Phi x and P = Phi (P + G Q G' dt) Phi' with Phi = I + a dt, in place."""
     x, p, a, product, total_x = model.state, model.p, model.work.a, model.work.product, model.work.sum
@@ -188,7 +188,7 @@ def predict(model, k, dt, part):
             p[j, i] = total
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def correct(model, k, e):
     """Use the rows of measurement ``e`` that count."""
     events, work, x = model.events, model.work, model.state
@@ -203,7 +203,7 @@ def correct(model, k, e):
         note_update(model.keep, model, e, count, PLAIN)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def record(model, k):
     """Keep what is known at the end of IMU sample ``k``."""
     note_sample(model.keep, model, k)

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.filter import note_update
-from estimators.core.timeline import steps
+from estimators.core.timeline import inner, steps
 from estimators.core.update import cholesky, whiten
 from estimators.methods.direct_kernels import MEASUREMENTS, Inputs, Work, antenna, begin, record, stretch, wrap_angles
 from estimators.methods.motion_models import N_STATES, Motion, add_process_noise, advance, transition
@@ -159,7 +159,7 @@ def unscented_correct(x, p, deviations, readings, weights, work):
     return theta
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def predict(model, k, dt, part):
     """Carry the filter ``dt`` (s) on within IMU sample ``k``: every sigma point moves."""
     motion, x, p, phi = model.motion, model.state, model.p, model.work.phi
@@ -173,7 +173,7 @@ def predict(model, k, dt, part):
     add_process_noise(p, phi, motion.noise, dt)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def correct(model, k, e):
     """Use fix ``e``, which lies within IMU sample ``k``, with fresh sigma points."""
     x, p, inputs, work, weights = model.state, model.p, model.inputs, model.work, model.spread.weights
