@@ -14,8 +14,8 @@ from numba import njit
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
 from estimators.aiding.standstill import stops
 from estimators.blocks.sensors import samples_of
-from estimators.core.filter import attitude, triple
 from estimators.core.lanes import entry, get, put, set_entry
+from estimators.core.model import attitude, triple
 from estimators.policies import positive
 from testbed.base.errors import InputError
 from testbed.data.records import SensorLog

@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
-from estimators.core.filter import attitude, triple
 from estimators.core.lanes import get, put, set_entry
 from estimators.core.lever_arm import lever_arm
+from estimators.core.model import attitude, triple
 from testbed.base.errors import InputError
 from testbed.data.records import GnssFixes, SensorLog
 from testbed.physics import earth

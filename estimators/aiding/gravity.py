@@ -9,8 +9,8 @@ import numpy as np
 
 from estimators.aiding import ABSENT, Aiding, Columns, Measurements, add_aiding
 from estimators.aiding.standstill import SIGMAS, mean_std
-from estimators.core.filter import attitude
 from estimators.core.lanes import get, put, set_entry
+from estimators.core.model import attitude
 from estimators.policies import positive
 from testbed.data.records import SensorLog
 from testbed.physics import earth

@@ -10,8 +10,8 @@ import numpy as np
 
 from estimators.aiding import ABSENT, Aiding, Columns, Measurements, add_aiding
 from estimators.blocks.sensors import samples_of
-from estimators.core.filter import attitude, triple
 from estimators.core.lanes import get, put, set_entry
+from estimators.core.model import attitude, triple
 from testbed.base.errors import InputError
 from testbed.data.records import MagSamples, SensorLog
 from testbed.physics.rotations import cross, matrix_rotate, quat_to_matrix

@@ -18,7 +18,8 @@ from estimators.blocks import Block
 from estimators.blocks.imu import white_density
 from estimators.core import calls
 from estimators.core.calls import address
-from estimators.core.filter import (
+from estimators.core.lanes import WIDTH, aligned
+from estimators.core.model import (
     AUX,
     INVARIANT,
     PHI,
@@ -27,13 +28,11 @@ from estimators.core.filter import (
     Events,
     Inputs,
     Model,
-    Recording,
     Work,
-    empty_recording,
 )
-from estimators.core.lanes import WIDTH, aligned
 from estimators.core.parts import find_aiding, find_block, find_policy
 from estimators.core.propagate import NAV, Coupling, make_covariance, make_covariances
+from estimators.core.recording import Recording, empty_recording
 from estimators.core.timeline import Timeline, make_timeline, walk
 from estimators.policies import Policy
 from testbed.base.errors import InputError, nearest

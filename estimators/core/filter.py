@@ -1,26 +1,21 @@
 """The error-state filter: what begins, carries, corrects and records a composition of blocks, aidings and policies.
 
-Groves, 2nd ed., chapters 5 and 14. The nominal state is lat, lon, h, v_n, q_nb and the sensor-error states of the blocks, in
-that order; the error state is position (m), velocity and attitude (rotation vector) in n, then the same sensor-error
-states. SI units and radians. Kernels only, on floats or lanes; `estimators.core.composition` makes what they work on.
+Groves, 2nd ed., chapters 5 and 14. Kernels only, on floats or lanes, that work on `estimators.core.model.Model`;
+`estimators.core.composition` makes one.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 from numba import njit
 from numba.extending import overload
-from numpy.typing import NDArray
 
 from estimators.core.calls import NOTHING, call_couple, call_couple_lanes, call_measure, call_measure_lanes, call_policy
 from estimators.core.lanes import entry, get, put, set_entry
+from estimators.core.model import AUX, INVARIANT, REJECTED, Model, attitude, is_single, put_triple, scaled, triple
 from estimators.core.nav_errors import coefficients
 from estimators.core.propagate import (
     NAV,
-    Coupling,
-    Scratch,
     add_noise,
     integrate_pairs,
     propagate,
@@ -28,6 +23,7 @@ from estimators.core.propagate import (
     turn_position_errors,
     turn_velocity_errors,
 )
+from estimators.core.recording import note_sample, note_update
 from estimators.core.strapdown import advance, compensate, coning_sculling
 from estimators.core.timeline import INLINED, inner, steps
 from estimators.core.update import innovation_covariance, update
@@ -40,231 +36,6 @@ from testbed.physics.rotations import (
     quat_to_matrix,
     rotvec_to_quat,
 )
-
-Array = NDArray[np.float64]
-
-AUX = 10
-"""First sensor-error state in the nominal state."""
-PHI, INVARIANT = 0, 1
-"""Error definitions, see `retract`."""
-REJECTED = 0.0
-"""What a policy returns for an update that is not to be made."""
-
-
-class Inputs(NamedTuple):
-    """What moves the filter: recordings of the IMU and the noise that its specification promises."""
-
-    imu: Array
-    """(N,6) angular rate (rad/s) and specific force (m/s²), means over the intervals."""
-    white: Array
-    """(6,) spectral densities of accelerometer and gyro noise along b."""
-    drive: Array
-    """(k,) spectral densities of what drives the sensor-error states."""
-    decay: Array
-    """(k,) their inverse correlation times, 1/s."""
-    centre: Array
-    """(k,) what they return to."""
-    chain: NDArray[np.int64]
-    """(c,2) sensor-error states of which the first is the integral of the second."""
-
-
-class Blocks(NamedTuple):
-    """Where each block's states lie and what they add to the IMU."""
-
-    couples: NDArray[np.int64]
-    """(B,) addresses of the compiled ``couple`` of blocks whose coupling follows the IMU sample."""
-    places: NDArray[np.int64]
-    """(B,2) their first and last + 1 sensor-error state."""
-    accel: Array
-    """(k,3) what one unit of a state adds to specific force in b."""
-    gyro: Array
-    """(k,3) the same for angular rate."""
-
-
-class Events(NamedTuple):
-    """The samples of all aiding sensors in the order of time, and how each is used."""
-
-    kind: NDArray[np.int64]
-    """(E,) row of the aiding in the arrays below."""
-    z: Array
-    """(E,m) measurement."""
-    r: Array
-    """(E,m) noise variances."""
-    rows: NDArray[np.int64]
-    """(A,) length of an aiding's measurement."""
-    measures: NDArray[np.int64]
-    """(A,) addresses of the compiled ``measure``."""
-    parameters: Array
-    """(A,p) of each aiding."""
-    policies: NDArray[np.int64]
-    """(A,) addresses of the compiled ``policy``."""
-    memory: Array
-    """(A,q) of each policy, overwritten."""
-
-
-class Work(NamedTuple):
-    """Arrays that are overwritten in every step."""
-
-    whole: Array
-    """(6,) angle and velocity increments of the last whole sample."""
-    corrections: Array
-    """(6,) coning and sculling of the present one."""
-    clean: Array
-    """(6,) the present sample without its estimated errors."""
-    sample: Array
-    """(6,) the same but for what the errors have changed since the sample before; couplings are evaluated there."""
-    residual: Array
-    """(m,)"""
-    r: Array
-    """(m,)"""
-    s: Array
-    """(m * m,) innovation covariance."""
-    h: Array
-    """(m,n)"""
-    x: Array
-    """(n,) what an update adds to the state: minus the estimated error; position and velocity as `retract` moved them."""
-    scalars: Array
-    """(m,2) see `update`"""
-    scratch: Array
-    """(4,n)"""
-    dt: Array
-    """(1,) the step that the coupling's ``keep`` is of."""
-
-
-class Model(NamedTuple):
-    """An error-state filter on a log, for `estimators.core.timeline.walk`. ``keep`` says what a run leaves behind."""
-
-    inputs: Inputs
-    blocks: Blocks
-    events: Events
-    error: int
-    state: Array
-    """(10 + k,) or lanes, overwritten."""
-    p: Array
-    """Covariance, overwritten."""
-    propagation: Scratch
-    coupling: Coupling
-    work: Work
-    keep: Any
-    """A `Recording`, or another class with its own ``note_update`` and ``note_sample``."""
-
-
-class Recording(NamedTuple):
-    """What a run leaves behind; row k // stride is the state after every measurement up to t[k]."""
-
-    stride: int
-    state: Array
-    """(N // stride, 10 + k)"""
-    std: Array
-    """(N // stride, n)"""
-    snapshot_stride: int
-    covariance: Array
-    """(K,n,n)"""
-    innovation: Array
-    """(E,m), NaN where an event lies outside of the IMU's time"""
-    innovation_covariance: Array
-    """(E,m,m)"""
-    fading: Array
-    """(E,) what the policy returned: 1 a plain update, `REJECTED` none, more a faded covariance"""
-
-
-def empty_recording(samples: int, events: int, sizes: tuple[int, int, int], every: int, stride: int = 1) -> Recording:
-    """Room for a run over so many IMU samples and events; ``sizes``: of the nominal state, the error state, an innovation.
-
-    A covariance is kept every ``every`` samples, state and sigmas every ``stride``.
-    """
-    state, n, m = sizes
-    return Recording(
-        stride,
-        np.empty((samples // stride, state)),
-        np.empty((samples // stride, n)),
-        every,
-        np.empty((samples // every, n, n)),
-        np.full((events, m), np.nan),
-        np.full((events, m, m), np.nan),
-        np.full(events, np.nan),
-    )
-
-
-def note_update(keep, model, e, count, fading):
-    """Keep what event ``e``, of ``count`` rows, was to the filter. Kernels only."""
-    raise NotImplementedError("kernels only")
-
-
-def note_sample(keep, model, k):
-    """Keep the state after IMU sample ``k``. Kernels only."""
-    raise NotImplementedError("kernels only")
-
-
-@overload(note_update, jit_options=INLINED)
-def _note_update(keep, model, e, count, fading):
-    return _KEEPERS[keep.instance_class][0]
-
-
-@overload(note_sample, jit_options=INLINED)
-def _note_sample(keep, model, k):
-    return _KEEPERS[keep.instance_class][1]
-
-
-_KEEPERS: dict[type, tuple[Any, Any]] = {}
-
-
-def keeper(kind: type, update_noted: Any, sample_noted: Any) -> None:
-    """Tie two plain functions, compiled where they are used, to a class of what a run leaves behind."""
-    _KEEPERS[kind] = (update_noted, sample_noted)
-
-
-def _record_update(keep, model, e, count, fading):
-    innovation, covariance, residual, s = keep.innovation, keep.innovation_covariance, model.work.residual, model.work.s
-    for a in range(count):
-        innovation[e, a] = residual[a]
-        for b in range(count):
-            covariance[e, a, b] = s[a * count + b]
-    keep.fading[e] = fading
-
-
-def _record_sample(keep, model, k):
-    state, p, states, std = model.state, model.p, keep.state, keep.std
-    if (k + 1) % keep.stride == 0:
-        row = k // keep.stride
-        for i in range(state.shape[0]):
-            states[row, i] = state[i]
-        for i in range(p.shape[0]):
-            std[row, i] = np.sqrt(p[i, i])
-    if (k + 1) % keep.snapshot_stride == 0:
-        snapshot = keep.covariance[k // keep.snapshot_stride]
-        for i in range(p.shape[0]):
-            for j in range(p.shape[0]):
-                snapshot[i, j] = p[i, j]
-
-
-keeper(Recording, _record_update, _record_sample)
-
-
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def triple(array, first):
-    """Three numbers of a row."""
-    return get(array, first), get(array, first + 1), get(array, first + 2)
-
-
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def put_triple(array, first, a):
-    """Set three numbers of a row."""
-    put(array, first, a[0])
-    put(array, first + 1, a[1])
-    put(array, first + 2, a[2])
-
-
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def scaled(a, factor):
-    """A triple times a number."""
-    return (a[0] * factor, a[1] * factor, a[2] * factor)
-
-
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def attitude(state):
-    """q_nb of a nominal state."""
-    return get(state, 6), get(state, 7), get(state, 8), get(state, 9)
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -501,7 +272,7 @@ def _judge(model, kind, residual, h, r):
 
 @overload(_couple_blocks, jit_options=INLINED)
 def _couple(model, k):
-    call = call_couple if _is_single(model) else call_couple_lanes
+    call = call_couple if is_single(model) else call_couple_lanes
 
     def couple(model, k):
         blocks = model.blocks
@@ -517,7 +288,7 @@ def _couple(model, k):
 
 @overload(_measure, jit_options=INLINED)
 def _take_measure(model, kind, e, residual, h):
-    call = call_measure if _is_single(model) else call_measure_lanes
+    call = call_measure if is_single(model) else call_measure_lanes
 
     def measure(model, kind, e, residual, h):
         events = model.events
@@ -529,7 +300,7 @@ def _take_measure(model, kind, e, residual, h):
 
 @overload(_judge, jit_options=INLINED)
 def _call_judge(model, kind, residual, h, r):
-    if not _is_single(model):
+    if not is_single(model):
         return _judge_lanes
     return _judge_single
 
@@ -561,8 +332,3 @@ def _fade(p, n, factor):
     for i in range(n):
         for j in range(n):
             p[i, j] *= factor
-
-
-def _is_single(model: Any) -> bool:
-    """Whether a model's numbers are floats."""
-    return bool(model[model.fields.index("state")].ndim == 1)

@@ -15,8 +15,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.composition import Composition, Prepared, make_lanes, make_timeline_of, prepare
-from estimators.core.filter import keeper
 from estimators.core.lanes import WIDTH, aligned, get, put
+from estimators.core.recording import keeper
 from estimators.core.timeline import walk
 from testbed.base.errors import InputError
 from testbed.data.records import SensorLog, Trajectory

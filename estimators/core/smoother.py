@@ -18,8 +18,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.composition import Prepared, make_model, make_recording, make_timeline_of, solution_of
-from estimators.core.filter import INVARIANT, REJECTED, Model, begin, correct, move, record, retract, spread
+from estimators.core.filter import begin, correct, move, record, retract, spread
 from estimators.core.lanes import WIDTH, aligned
+from estimators.core.model import INVARIANT, REJECTED, Model
 from estimators.core.propagate import NAV, blocks_of, make_covariance, transition
 from estimators.core.timeline import SAME_TIME, Timeline, inner, steps, walk
 from testbed.data.records import NavSolution

@@ -19,7 +19,8 @@ from numba import njit, typeof
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.core.composition import Prepared, make_model, make_recording, make_timeline_of, solution_of
-from estimators.core.filter import AUX, REJECTED, begin, correct, observe, predict, put_triple, record, triple
+from estimators.core.filter import begin, correct, observe, predict, record
+from estimators.core.model import AUX, REJECTED, put_triple, triple
 from estimators.core.propagate import NAV
 from estimators.core.timeline import SAME_TIME
 from estimators.core.update import innovation_covariance

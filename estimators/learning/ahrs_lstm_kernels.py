@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from estimators.core.filter import keeper
+from estimators.core.recording import keeper
 from estimators.methods.ahrs_kernels import (
     Array,
     Figures,

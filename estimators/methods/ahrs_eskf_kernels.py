@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from estimators.core.filter import keeper, note_sample
+from estimators.core.recording import keeper, note_sample
 from estimators.core.timeline import inner, steps
 from estimators.core.update import update
 from estimators.methods.ahrs_field import FieldWatch, doubt_of_field

@@ -20,7 +20,7 @@ from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from estimators.core.filter import keeper, note_sample
+from estimators.core.recording import keeper, note_sample
 from estimators.core.timeline import INLINED, inner, steps
 from estimators.core.update import cholesky
 from testbed.physics.rotations import quat_multiply, quat_normalize, quat_to_matrix, rotvec_to_quat
@@ -94,7 +94,7 @@ class AttitudeFilter(NamedTuple):
     gain: Any
     """What changes the gain before it corrects: `OwnGain`, or a class tied by `gain_hook`."""
     keep: Any
-    """`AttitudeRecording`, or a class tied by `estimators.core.filter.keeper`."""
+    """`AttitudeRecording`, or a class tied by `estimators.core.recording.keeper`."""
 
 
 class OwnGain(NamedTuple):

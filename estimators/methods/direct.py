@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from estimators.aiding.gnss import MINIMUM_STD, require_gnss
 from estimators.blocks.imu import noise_model
 from estimators.core.composition import SNAPSHOT_INTERVAL_S
-from estimators.core.filter import Recording
+from estimators.core.recording import Recording
 from estimators.core.strong_tracking import FILTERS
 from estimators.core.timeline import Timeline, make_timeline, walk
 from estimators.methods.direct_kernels import MEASUREMENTS, Ekf, Inputs, Tracking, make_work

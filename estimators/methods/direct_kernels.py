@@ -13,8 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core import strong_tracking
-from estimators.core.filter import note_sample, note_update
 from estimators.core.lever_arm import lever_arm
+from estimators.core.recording import note_sample, note_update
 from estimators.core.strapdown import coning_sculling
 from estimators.core.timeline import inner, steps
 from estimators.core.update import innovation_covariance, update, whiten
@@ -100,7 +100,7 @@ class Ekf(NamedTuple):
     p: Array
     work: Work
     keep: Any
-    """An `estimators.core.filter.Recording`."""
+    """An `estimators.core.recording.Recording`."""
     theta: Array
     """(E,): test statistic of each fix, overwritten."""
 

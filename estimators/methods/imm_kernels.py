@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from estimators.core.filter import note_update
+from estimators.core.recording import note_update
 from estimators.core.timeline import SAME_TIME, inner, steps
 from estimators.core.update import update
 from estimators.methods.direct_kernels import (

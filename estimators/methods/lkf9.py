@@ -22,7 +22,7 @@ from testbed.physics import earth
 from testbed.physics.rotations import quats_to_matrices
 
 if TYPE_CHECKING:
-    from estimators.core.filter import Recording
+    from estimators.core.recording import Recording
 
 Array = NDArray[np.float64]
 
@@ -150,7 +150,7 @@ def gnss_measurements(ins: FreeIns, gnss: GnssFixes) -> Measurements:
 
 def run_filter(settings: OpenLoop, log: SensorLog, ins: FreeIns, fed: Measurements) -> NavSolution:
     """Run the kernel and subtract its estimates from the INS. Innovations are those of the complete fixes only."""
-    from estimators.core.filter import empty_recording
+    from estimators.core.recording import empty_recording
     from estimators.core.timeline import make_timeline, walk
     from estimators.methods import lkf9_kernels
 

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from estimators.core.filter import Recording, note_sample, note_update
+from estimators.core.recording import Recording, note_sample, note_update
 from estimators.core.timeline import inner, steps
 from estimators.core.update import innovation_covariance, update
 from testbed.physics import earth

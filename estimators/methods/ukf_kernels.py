@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from estimators.core.filter import note_update
+from estimators.core.recording import note_update
 from estimators.core.timeline import inner, steps
 from estimators.core.update import cholesky, whiten
 from estimators.methods.direct_kernels import MEASUREMENTS, Inputs, Work, antenna, begin, record, stretch, wrap_angles

@@ -12,8 +12,9 @@ from numba import njit
 
 from estimators.core import calls
 from estimators.core.composition import Composition, make_model, make_recording, prepare
-from estimators.core.filter import AUX, INVARIANT, begin, predict, retract
+from estimators.core.filter import begin, predict, retract
 from estimators.core.lanes import WIDTH, aligned
+from estimators.core.model import AUX, INVARIANT
 from estimators.core.parts import AIDINGS, BLOCKS
 from estimators.core.propagate import NAV
 from testbed.base.schema import validate

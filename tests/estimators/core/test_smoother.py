@@ -11,8 +11,9 @@ from synthetic import sensor_log, weaving_flight
 
 from estimators.core import smoother
 from estimators.core.composition import make_model, make_recording, make_timeline_of
-from estimators.core.filter import AUX, REJECTED, begin, correct, move, record, retract, spread
+from estimators.core.filter import begin, correct, move, record, retract, spread
 from estimators.core.lanes import aligned
+from estimators.core.model import AUX, REJECTED
 from estimators.core.propagate import make_covariance, transition
 from estimators.core.timeline import SAME_TIME
 from estimators.methods.eskf import Eskf
