@@ -168,7 +168,7 @@ def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
         for kind in current:
             if isinstance(kind, type) and issubclass(kind, BaseModel):
                 if part in kind.model_fields:
-                    following += _unwrap(kind.model_fields[str(part)].annotation)
+                    following += unwrap(kind.model_fields[str(part)].annotation)
                 else:
                     following.append(kind)  # the tag of a union, already among the candidates
         tagged = [k for k in current if _is_tagged(k, part)]
@@ -184,15 +184,15 @@ def _is_tagged(kind: Any, part: int | str) -> bool:
     return part in typing.get_args(kind.model_fields["type"].annotation)
 
 
-def _unwrap(annotation: Any) -> list[Any]:
+def unwrap(annotation: Any) -> list[Any]:
     """The model classes inside list[...], unions and Annotated."""
     origin = typing.get_origin(annotation)
     if origin is None:
         return [annotation]
     if origin is typing.Annotated:
-        return _unwrap(typing.get_args(annotation)[0])
+        return unwrap(typing.get_args(annotation)[0])
     if origin in (list, tuple, dict, typing.Union, types.UnionType):
-        return [kind for arg in typing.get_args(annotation) for kind in _unwrap(arg)]
+        return [kind for arg in typing.get_args(annotation) for kind in unwrap(arg)]
     return []
 
 

@@ -59,10 +59,21 @@ OutOption = Annotated[
 ]
 
 
+def _show_version(asked: bool) -> None:
+    if asked:
+        import testbed
+
+        print(testbed.__version__)
+        raise typer.Exit
+
+
 @app.callback()
 def options(
     debug: Annotated[
         bool, typer.Option("--debug", help="Show the traceback of an error inside of the bench (anywhere in the line).")
+    ] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", callback=_show_version, is_eager=True)
     ] = False,
 ) -> None:
     """What stands before the verb; `main` has taken ``--debug`` out already, here it is for the help."""
@@ -422,6 +433,19 @@ def list_command(
 
     _load_plugins(plugin)
     commands.show(what, name)
+
+
+@app.command("explain")
+def explain_command(
+    key: Annotated[
+        str | None,
+        typer.Argument(help="Such as sensors.gnss.outages, or the end of it.", autocompletion=completion.keys),
+    ] = None,
+) -> None:
+    """What a key of a scenario means: unit, range, default, examples."""
+    from testbed.cli.explain import explain
+
+    explain(key)
 
 
 @app.command("new")

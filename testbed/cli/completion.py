@@ -68,3 +68,11 @@ def _tables(ctx: typer.Context, key: str) -> Any:
         return tomllib.loads((shipped if shipped.is_file() else Path(name)).read_text(encoding="utf-8")).get(key, {})
     except (OSError, ValueError, RecursionError):  # a name or a file that is none
         return {}
+
+
+def keys(incomplete: str) -> list[str]:
+    """Keys of a scenario, a table at a time."""
+    from testbed.scenario import Scenario, explain
+
+    found = dict.fromkeys(key.path for key in explain.keys(Scenario))
+    return [path for path in found if path.startswith(incomplete) and "." not in path[len(incomplete) :]]

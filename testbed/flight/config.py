@@ -25,19 +25,28 @@ class InitialFlightState(Table):
     """``[flight.initial]``: where the flight starts, level and trimmed."""
 
     lat_deg: float = Field(default=45.0, ge=-85, le=85)
+    """Geodetic latitude."""
     lon_deg: float = Field(default=10.0, ge=-180, le=180)
+    """Longitude, positive east."""
     alt_m: float = Field(default=1000.0, ge=0, le=30_000)
+    """Height above the ellipsoid."""
     speed_mps: Speed
+    """True airspeed; the aircraft is trimmed for it."""
     heading_deg: float = Field(default=0.0, ge=-360, le=360)
+    """From true north, clockwise."""
 
 
 class Wind(Table):
     """``[flight.wind]``: steady wind (the velocity of the air over ground) and Dryden turbulence."""
 
     north_mps: float = Field(default=0.0, ge=-60, le=60)
+    """Towards north."""
     east_mps: float = Field(default=0.0, ge=-60, le=60)
+    """Towards east."""
     down_mps: float = Field(default=0.0, ge=-20, le=20)
+    """Downwards."""
     turbulence: Literal["none", "light", "moderate", "severe"] = "none"
+    """Strength of the Dryden gusts, in the classes of MIL-F-8785C."""
     seed: int | None = Field(default=None, ge=0)
     """Turbulence seed; without it the seed of the flight."""
 
@@ -49,7 +58,9 @@ class Manoeuvre(Table):
     """Names of the keys of which exactly one says when the manoeuvre ends."""
 
     name: Annotated[Name, Field(max_length=60)] = ""
+    """Name of its phase in tables and figures; default: its type."""
     speed_mps: Speed | None = None
+    """True airspeed to hold from here on; default: the one before."""
 
     @model_validator(mode="after")
     def _one_end(self) -> Manoeuvre:
@@ -69,6 +80,7 @@ class Climbing(Manoeuvre):
     """Keys of the turning manoeuvres, which may climb or descend meanwhile (positive up)."""
 
     climb_rate_mps: float | None = Field(default=None, ge=-200, le=200)
+    """Climb meanwhile, positive up; default: level."""
 
 
 class Straight(Manoeuvre):
@@ -76,6 +88,7 @@ class Straight(Manoeuvre):
 
     type: Literal["straight"]
     duration_s: Duration
+    """How long."""
 
 
 class Turn(Climbing):
@@ -83,9 +96,13 @@ class Turn(Climbing):
 
     type: Literal["turn"]
     bank_deg: Bank
+    """Bank angle to hold; positive turns to the right."""
     duration_s: Duration | None = None
+    """Ends it after this time."""
     heading_change_deg: float | None = Field(default=None, gt=0, le=36_000)
+    """Ends it after turning by this angle."""
     to_heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    """Ends it at this heading."""
     ends: ClassVar[tuple[str, ...]] = ("duration_s", "heading_change_deg", "to_heading_deg")
 
     @field_validator("bank_deg")
@@ -96,9 +113,13 @@ class Turn(Climbing):
 
 class _Vertical(Manoeuvre):
     climb_rate_mps: Annotated[float, Field(gt=0, le=200)] | None = None
+    """Vertical speed, positive in a descent, too."""
     path_angle_deg: Annotated[float, Field(gt=0, le=60)] | None = None
+    """Instead: angle of the path against the horizon, positive in a descent, too."""
     to_alt_m: float | None = Field(default=None, ge=0, le=30_000)
+    """Ends it at this height above the ellipsoid."""
     duration_s: Duration | None = None
+    """Ends it after this time."""
     ends: ClassVar[tuple[str, ...]] = ("to_alt_m", "duration_s")
 
     @model_validator(mode="after")
@@ -125,9 +146,13 @@ class Loiter(Climbing):
 
     type: Literal["loiter"]
     radius_m: float = Field(gt=0, le=100_000)
+    """Radius of the circle over the ground."""
     direction: Direction = "right"
+    """Side to which it circles."""
     turns: float | None = Field(default=None, gt=0, le=1000)
+    """Ends it after so many full circles."""
     duration_s: Duration | None = None
+    """Ends it after this time."""
     ends: ClassVar[tuple[str, ...]] = ("turns", "duration_s")
 
 
@@ -136,9 +161,13 @@ class STurn(Climbing):
 
     type: Literal["s_turn"]
     bank_deg: Bank
+    """Bank angle of each leg; positive begins to the right."""
     heading_change_deg: float = Field(default=60.0, gt=0, le=360)
+    """By how much each leg changes the heading."""
     legs: int | None = Field(default=None, ge=1, le=1000)
+    """Ends it after so many legs."""
     duration_s: Duration | None = None
+    """Ends it after this time."""
     ends: ClassVar[tuple[str, ...]] = ("legs", "duration_s")
 
     @field_validator("bank_deg")
@@ -152,8 +181,11 @@ class FigureEight(Climbing):
 
     type: Literal["figure_eight"]
     bank_deg: Bank
+    """Bank angle; positive begins to the right."""
     circles: int | None = Field(default=None, ge=1, le=1000)
+    """Ends it after so many full circles."""
     duration_s: Duration | None = None
+    """Ends it after this time."""
     ends: ClassVar[tuple[str, ...]] = ("circles", "duration_s")
 
     @field_validator("bank_deg")
@@ -164,6 +196,7 @@ class FigureEight(Climbing):
 
 class _SpeedChange(Manoeuvre):
     to_speed_mps: Speed
+    """True airspeed at the end; it holds from then on."""
     acceleration_mps2: Annotated[float, Field(gt=0, le=20)] | None = None
     """Without it the aircraft's usual one."""
 
@@ -191,10 +224,13 @@ class Doublet(Manoeuvre):
 
     type: Literal["doublet"]
     surface: Literal["elevator", "aileron", "rudder"]
+    """The control that moves."""
     amplitude: float = Field(ge=-1, le=1)
     """Fraction of full deflection; positive pitches up, rolls right, yaws right first."""
     period_s: Duration = 2.0
+    """Of the whole movement, to one side and to the other."""
     duration_s: Duration
+    """How long, with the response that follows."""
 
     @model_validator(mode="after")
     def _fits(self) -> Doublet:
@@ -207,10 +243,15 @@ class Waypoint(Table):
     """A point to overfly: north and east of the start in metres, or latitude and longitude."""
 
     north_m: Metres | None = None
+    """North of the start."""
     east_m: Metres | None = None
+    """East of the start."""
     lat_deg: float | None = Field(default=None, ge=-85, le=85)
+    """Instead: latitude."""
     lon_deg: float | None = Field(default=None, ge=-180, le=180)
+    """With it: longitude."""
     alt_m: float | None = Field(default=None, ge=0, le=30_000)
+    """Height above the ellipsoid; default: the one before."""
 
     @model_validator(mode="after")
     def _one_frame(self) -> Waypoint:
@@ -228,6 +269,7 @@ class Waypoints(Manoeuvre):
     type: Literal["waypoints"]
     points: list[Waypoint] = Field(min_length=1)
     radius_m: float = Field(default=100.0, gt=0, le=100_000)
+    """A point counts as reached when passed within this."""
 
 
 AnyManoeuvre = Annotated[
@@ -258,8 +300,11 @@ class FlightConfig(Table):
     aircraft: str
     """Name of a shipped one, or a folder of the user's own: anything with a ``/``, from the scenario's folder on."""
     rate_hz: float = Field(default=100.0, ge=10, le=1000)
+    """Rows of the truth per second."""
     duration_s: Duration | None = None
+    """Length of the flight; default: until the last manoeuvre ends."""
     payload_kg: float = Field(default=0.0, ge=0, le=100_000)
+    """Mass added at the centre of gravity."""
     initial: InitialFlightState
     wind: Wind = Wind()
     manoeuvres: list[AnyManoeuvre] = Field(min_length=1)

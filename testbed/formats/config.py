@@ -41,10 +41,15 @@ class AlignmentConfig(Table):
     declination_deg: float | None = Field(default=None, ge=-180.0, le=180.0)
     """Of the magnetic field, east; default: the magnetometer's specification, else the World Magnetic Model."""
     roll_deg: float | None = Field(default=None, ge=-180.0, le=180.0)
+    """Roll at the start, in place of levelling."""
     pitch_deg: float | None = Field(default=None, ge=-90.0, le=90.0)
+    """Pitch at the start, in place of levelling."""
     yaw_deg: float | None = Field(default=None, ge=-360.0, le=360.0)
+    """Heading at the start, in place of what `heading` finds."""
     roll_pitch_std_deg: float | None = Field(default=None, gt=0.0, le=180.0)
+    """1 sigma of roll and pitch; default: what the accelerometer biases imply."""
     yaw_std_deg: float | None = Field(default=None, gt=0.0, le=180.0)
+    """1 sigma of the heading; default: what its source implies."""
 
 
 class HoldoutConfig(Table):
@@ -83,7 +88,9 @@ class RecordingConfig(Table):
     """``[recording]``. Relative paths start at the scenario's folder."""
 
     format: Literal["navego", "table", "ulog", "broad", "kfgins", "rtklib"]
+    """How the files are written."""
     dir: str = "."
+    """The recording's folder."""
     files: dict[str, str] = Field(default_factory=dict)
     """Part -> file in ``dir``; default names where a part is absent."""
     columns: dict[str, str | dict[str, str]] = Field(default_factory=dict)
@@ -95,13 +102,17 @@ class RecordingConfig(Table):
     allow_truncated: bool = False
     """ulog: use what is there of a log that was cut off."""
     start_s: float | None = None
+    """Use the recording from here on, seconds of its own time."""
     end_s: float | None = None
     """Use only this part of the recording."""
     initial: AlignmentConfig = AlignmentConfig()
     holdout: HoldoutConfig | None = None
     imu: dict[str, Any] = Field(default_factory=dict)
+    """Specification in place of what the files state: ``model`` of the catalogue, single figures of it, ``file``."""
     gnss: dict[str, Any] = Field(default_factory=dict)
+    """The same for the receiver."""
     mag: dict[str, Any] = Field(default_factory=dict)
+    """The same for the magnetometer; ``field_n_ut`` is the local field."""
     baro: dict[str, Any] = Field(default_factory=dict)
     """Specification instead of what the files state: ``model`` of the catalogue, single figures of it, ``file``."""
 

@@ -51,17 +51,24 @@ class Header(Table):
     """``[scenario]``: what it is called and where it comes from."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$", max_length=100)
+    """Names its results; letters, digits, point, hyphen and underscore."""
     title: str = ""
+    """Heading of its report."""
     source: str = ""
+    """The paper that it follows, or where it comes from."""
     notes: str = ""
+    """Remarks that the report prints."""
 
 
 class EstimatorConfig(Table):
     """``[[estimators]]``: a method under test; ``label`` names its row where one method stands in several rows."""
 
     name: str
+    """As ``testbed list estimators`` shows it, or as a plug-in registers it."""
     label: Name = ""
+    """Name of its row; needed where one method stands in several rows."""
     params: dict[str, Any] = {}
+    """Its parameters; ``testbed list estimators NAME`` shows them."""
     params_file: str | None = None
     """TOML file with a table ``[params]``, as the tuner writes it; ``params`` stands above it."""
 
@@ -75,7 +82,9 @@ class Distribution(Table):
     """How a number of the flight varies from run to run: normal (mean, sigma), uniform (low, high), or times a uniform factor."""
 
     normal: list[float] | None = Field(default=None, min_length=2, max_length=2)
+    """Mean and standard deviation."""
     uniform: list[float] | None = Field(default=None, min_length=2, max_length=2)
+    """Lowest and highest value."""
     factor: list[float] | None = Field(default=None, min_length=2, max_length=2)
     """Low and high of what the scenario's own number is multiplied by: sides and signs stay."""
 
@@ -115,12 +124,14 @@ class MonteCarloConfig(Table):
     runs: int = Field(default=20, ge=1, le=999_999)
     """The files of the runs are numbered with six digits."""
     seed: int = Field(default=1, ge=0)
+    """All that is drawn follows from it."""
     vary: list[Literal["noise", "turn_on", "alignment", "outages", "turbulence", "manoeuvres"]] = [
         "noise",
         "turn_on",
         "alignment",
         "outages",
     ]
+    """What is drawn anew in every run; the rest is as in run 0."""
     disperse: dict[str, Distribution] = {}
     """Keys inside ``[flight]``, for example ``"manoeuvres.1.bank_deg"``, or ``"manoeuvres.*.bank_deg"`` for each manoeuvre that
     has one, drawn for itself; used where ``vary`` has ``manoeuvres``."""
@@ -140,9 +151,13 @@ class WindowConfig(Table):
     """``[[windows]]``: where errors are scored. ``kind`` outages or phases makes one window for each of them."""
 
     name: Name = ""
+    """Name in the tables."""
     start: float | None = None
+    """Begins here, seconds of the flight."""
     end: float | None = None
+    """Ends here, seconds of the flight."""
     kind: Literal["fixed", "outages", "phases"] = "fixed"
+    """One stretch of time, or one window for each outage or phase."""
 
     @model_validator(mode="after")
     def _complete(self) -> WindowConfig:
@@ -158,21 +173,31 @@ class TableRow(Table):
     """A row of a paper's table: a metric, how to scale it, and the paper's figure per column (nan-free; -1 = none)."""
 
     name: str
+    """Its heading."""
     metric: str
+    """As ``testbed list metrics`` shows them."""
     window: str = ""
+    """Name of a window; default: the table's."""
     unit: str = ""
+    """Printed beside its name."""
     paper: list[float | str]
+    """The paper's figures, one per column; an empty text where it has none."""
 
 
 class TableConfig(Table):
     """``[[tables]]``: a paper's table, to be set beside ours."""
 
     title: str
+    """Heading."""
     columns: list[str]
+    """Estimator rows that its columns show."""
     window: str = "all"
+    """Name of the window, or all."""
     statistic: Literal["mean", "median"] = "mean"
+    """Over the runs."""
     rows: list[TableRow]
     note: str = ""
+    """Stands below it."""
 
 
 def _maker(data: Any) -> str:

@@ -13,13 +13,19 @@ class ClaimConfig(Table):
     """``[[claims]]``: "``better`` beats ``than`` by so many per cent in this metric and window", or "the two are equal"."""
 
     id: str = ""
+    """Short name in the tables."""
     better: str
+    """The row that is claimed to be better."""
     than: str
+    """The row that it is compared with."""
     metric: str
+    """As ``testbed list metrics`` shows them."""
     window: str = "all"
+    """Name of the window, or all."""
     kind: Literal["lower", "equal"] = "lower"
     """Most papers claim that a method is better; that two are the same must be said."""
     paper_improvement_pct: float | None = None
+    """By how much lower, as the source states it."""
     margin_pct: float | None = Field(default=None, gt=0, lt=100)
     """Of an equality claim: the largest difference that still counts as none."""
     origin: Literal["paper", "own"] = "paper"
@@ -27,6 +33,7 @@ class ClaimConfig(Table):
     contradiction: str = ""
     """Where the source contradicts itself on this claim: both places, quoted."""
     text: str = ""
+    """The claim in words, the source's where it is a paper's."""
     variant: str | None = None
     """The claim is tested only when the scenario runs in this variant."""
 
@@ -50,6 +57,7 @@ class ReadingConfig(Table):
     """``[[readings]]``: one way to read what the source leaves open; its ``overlay`` is laid over the scenario as a variant is."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.,+ -]*$", max_length=60)
+    """Names the reading in tables and folders."""
     leaves_open: str = Field(min_length=1)
     """What the source does not say, and what this reading takes for it: one sentence."""
     conditions: dict[str, str] = {}

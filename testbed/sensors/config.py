@@ -49,6 +49,7 @@ class SensorTable(Table):
     kind: ClassVar[str]
 
     model: str = "ideal"
+    """Entry of the catalogue, as ``testbed list sensors`` shows them; ideal has no errors."""
     file: str | None = None
     """The user's own catalogue (TOML); a relative path starts from the scenario's folder."""
 
@@ -82,7 +83,9 @@ class Temperature(Table):
     """Temperature of the IMU over the flight, linear between the points and constant outside."""
 
     time_s: Annotated[list[float], Field(min_length=1)]
+    """Times of the points, seconds of the flight."""
     celsius: Annotated[list[float], Field(min_length=1)]
+    """Temperature at each, °C."""
     reference_celsius: float = 25.0
     """Where the temperature errors are zero."""
 
@@ -105,6 +108,7 @@ class Tone(Table):
     accel_g: Triple = (0.0, 0.0, 0.0)
     """Amplitude along b."""
     gyro_dps: Triple = (0.0, 0.0, 0.0)
+    """Amplitude of the angular rate along b."""
 
     @model_validator(mode="after")
     def _has_frequency(self) -> Tone:
@@ -118,9 +122,11 @@ class Vibration(Table):
 
     tones: list[Tone] = Field(default_factory=list)
     band_hz: Window | None = None
+    """Band of the noise: from, to."""
     band_accel_g: Triple = (0.0, 0.0, 0.0)
     """RMS of the band noise along b (at rpm_nominal if the trajectory has the engine speed)."""
     band_gyro_dps: Triple = (0.0, 0.0, 0.0)
+    """RMS of the angular rate in the band, along b."""
     rpm_nominal: Positive | None = None
     """Engine speed at which amplitudes are as given; they grow with its square. None: they do not change."""
 
@@ -134,6 +140,7 @@ class ImuConfig(SensorTable):
     lever_arm_m: Triple = (0.0, 0.0, 0.0)
     """From the reference point of the trajectory to the IMU, in b."""
     disable: list[ImuStep] = Field(default_factory=list)
+    """Steps of the error chain that are left out."""
     temperature: Temperature | None = None
     vibration: Vibration | None = None
 
@@ -159,18 +166,26 @@ class OutlierBursts(Table):
     """Stretches of wrong fixes (multipath) at drawn times: each a constant offset in a drawn direction."""
 
     count: Annotated[int, Field(ge=1)]
+    """How many."""
     duration_s: Positive = 1.0
+    """Of each."""
     offset_m: NonNegative = 50.0
+    """Size of the wrong position."""
     offset_mps: NonNegative = 0.0
+    """Size of the wrong velocity."""
     after_s: NonNegative = 0.0
+    """Not before this time."""
 
 
 class Degraded(Table):
     """A stretch of poor geometry: errors are multiplied."""
 
     start_s: float
+    """Beginning, seconds of the flight."""
     end_s: float
+    """End, seconds of the flight."""
     factor: Positive
+    """By which errors are multiplied."""
     reported: bool = True
     """Whether the receiver's stated accuracy follows."""
 
@@ -190,6 +205,7 @@ class GnssConfig(SensorTable):
 
     kind: ClassVar[str] = "gnss"
     rate_hz: Positive | None = None
+    """Fixes per second; default: the catalogue's."""
     time_offset_s: NonNegative = 0.0
     """Shift of all fixes against the start of the flight."""
     lever_arm_m: Triple = (0.0, 0.0, 0.0)
@@ -197,6 +213,7 @@ class GnssConfig(SensorTable):
     start_up_s: NonNegative = 0.0
     """No fix before this time."""
     outages: list[Window] = Field(default_factory=list)
+    """[from, to] of stretches without a fix, seconds of the flight."""
     random_outages: RandomOutages | None = None
     outliers: OutlierBursts | None = None
     degraded: list[Degraded] = Field(default_factory=list)
@@ -259,10 +276,13 @@ class Disturbance(Table):
     """A stretch of magnetic disturbance."""
 
     start_s: float
+    """Beginning, seconds of the flight."""
     end_s: float
+    """End, seconds of the flight."""
     field_ut: Triple = (0.0, 0.0, 0.0)
     """Constant, in b."""
     noise_ut: NonNegative = 0.0
+    """White, 1 sigma per axis."""
 
 
 class MagConfig(SensorTable):
@@ -270,6 +290,7 @@ class MagConfig(SensorTable):
 
     kind: ClassVar[str] = "mag"
     rate_hz: Positive | None = None
+    """Samples per second; default: the catalogue's."""
     year: Annotated[float, Field(ge=2010.0, lt=2030.0)] = 2025.0
     """Decimal year of the geomagnetic model."""
     disturbances: list[Disturbance] = Field(default_factory=list)
@@ -284,6 +305,7 @@ class BaroConfig(SensorTable):
 
     kind: ClassVar[str] = "baro"
     rate_hz: Positive | None = None
+    """Samples per second; default: the catalogue's."""
 
     def spec(self) -> BaroSpec:
         """The specification."""
@@ -296,12 +318,17 @@ class InitialConfig(Table):
     perfect: bool = False
     """Start at the truth, with the true biases."""
     position_m: NonNegative = 5.0
+    """Of each axis."""
     velocity_mps: NonNegative = 0.1
+    """Of each axis."""
     roll_pitch_deg: NonNegative = 1.0
+    """Of roll and of pitch."""
     yaw_deg: NonNegative = 2.0
+    """Of the heading."""
     gyro_bias_dps: NonNegative | None = None
     """What a calibration before the flight left of the bias. None: nothing is known of it but the specification."""
     accel_bias_mg: NonNegative | None = None
+    """The same of the accelerometer bias."""
     align_at_rest_s: Annotated[float, Field(gt=0, le=36_000)] | None = Field(
         default=None,
         description="Let the filter align while the vehicle stands, s: levelling and gyro bias from the IMU's means instead of "

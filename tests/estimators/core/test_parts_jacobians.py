@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 from analytic_flight import analytic_flight
+from filter_steps import begin, predict, retract
 from numba import njit
 
 from estimators.core import calls
 from estimators.core.composition import Composition, make_model, make_recording, prepare
-from estimators.core.filter import begin, predict, retract
 from estimators.core.lanes import WIDTH, aligned
 from estimators.core.model import AUX, INVARIANT
 from estimators.core.parts import AIDINGS, BLOCKS

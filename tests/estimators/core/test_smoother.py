@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from filter_steps import begin, correct, move, record, retract, spread
 from scipy.stats import t as student
 from synthetic import sensor_log, weaving_flight
 
 from estimators.core import smoother
 from estimators.core.composition import make_model, make_recording, make_timeline_of
-from estimators.core.filter import begin, correct, move, record, retract, spread
 from estimators.core.lanes import aligned
 from estimators.core.model import AUX, REJECTED
 from estimators.core.propagate import make_covariance, transition

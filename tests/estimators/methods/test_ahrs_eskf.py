@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numba import njit
 from scipy.stats import t as student
 
 from estimators.methods.ahrs_eskf import AhrsEskf
@@ -21,6 +22,7 @@ from testbed.physics.earth import gravity
 from testbed.physics.rotations import attitude_errors, eulers_to_quats, quat_multiply, quats_to_matrices, rotvec_to_quat
 from testbed.sensors.airspeed import AirspeedSamples, AirspeedSpec
 
+predict, use_speed = njit(predict), njit(use_speed)  # the filter has them only inside of its loop
 LATITUDE, HEIGHT = 0.9, 100.0
 G = float(gravity(LATITUDE, HEIGHT))
 FIELD_N = np.array([18.0, 2.0, 45.0])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from ahrs_simulation import body_errors, simulate
+from numba import njit
 from scipy.stats import chi2
 
 from estimators.methods.ahrs_eskf import AhrsEskf
@@ -24,6 +25,7 @@ from testbed.physics.rotations import attitude_errors, quat_to_matrix, rotvec_to
 from testbed.scenario import load_scenario
 from testbed.scoring.metrics import error_series
 
+observe, predict = njit(observe), njit(predict)  # the filter has them only inside of its loop
 FIGURES = Figures(0.01, 0.02, 0.03, 0.04, 0.5, 0.6, 0.99, 0.9, 0.95, 0.02, 9.8, 0.0, 0.0, 0.1)
 
 
