@@ -83,6 +83,12 @@ def use(line, model, e):
     correct(model, line.place[0], e)
 
 
+@njit(cache=True, nogil=True)
+def finish(model, k):
+    """Keep the state at the end of ``k``, the last IMU sample."""
+    record(model, k)
+
+
 def _compiled(kernel: Any, *arguments: Any) -> Any:
     """A kernel for arguments of these types. Called by itself it takes 2 µs where numba's dispatcher, which looks at the
     type of every array in a model, takes 20."""
@@ -196,7 +202,7 @@ class Stepwise:
             raise InputError(
                 f"solution(): the filter has done {done} of {len(self._line.t)} IMU samples; predict the rest"
             )
-        record(self._model, self._k)
+        finish(self._model, self._k)
         return solution_of(self._prepared, self._recording)
 
     def _find(self, aiding: str, j: int) -> int:

@@ -78,22 +78,22 @@ def _record(model, k):
     raise NotImplementedError("kernels only")
 
 
-@overload(_begin, jit_options=INLINED)
+@overload(_begin, jit_options=INLINED, strict=False)
 def _choose_begin(model, k, whole):
     return _STEPS[model.instance_class][0]
 
 
-@overload(_predict, jit_options=INLINED)
+@overload(_predict, jit_options=INLINED, strict=False)
 def _choose_predict(model, k, dt, part):
     return _STEPS[model.instance_class][1]
 
 
-@overload(_correct, jit_options=INLINED)
+@overload(_correct, jit_options=INLINED, strict=False)
 def _choose_correct(model, k, e):
     return _STEPS[model.instance_class][2]
 
 
-@overload(_record, jit_options=INLINED)
+@overload(_record, jit_options=INLINED, strict=False)
 def _choose_record(model, k):
     return _STEPS[model.instance_class][3]
 
