@@ -6,7 +6,7 @@ The picture, one public function per arrow and one class per noun::
                 (truth)               (per run)
 
 >>> scenario = load_scenario("quickstart")
->>> trajectory = fly(scenario)
+>>> trajectory = fly(scenario)  # or fly("quickstart")
 >>> log, errors = sense(scenario, trajectory, seed=0)
 >>> solution = make_estimator("indirect-kf").run(log)
 >>> table = score(scenario, trajectory, solution)
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from testbed.data.registry import list_estimators, load_plugin, make_estimator
     from testbed.montecarlo.runner import run
     from testbed.pipeline import fly, score, sense
+    from testbed.report.one_run import errors, plot_errors
     from testbed.scenario import Scenario, list_scenarios, load_scenario
 
 __version__ = "0.1.0"
@@ -38,6 +39,7 @@ _HOME = {
     "testbed.data.records": ("InitialState", "NavSolution", "SensorErrors", "SensorLog", "Trajectory"),
     "testbed.data.registry": ("list_estimators", "load_plugin", "make_estimator"),
     "testbed.montecarlo.runner": ("run",),
+    "testbed.report.one_run": ("errors", "plot_errors"),
     "testbed.scenario": ("Scenario", "list_scenarios", "load_scenario"),
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names}
@@ -51,12 +53,14 @@ __all__ = [
     "SensorLog",
     "TestbedError",
     "Trajectory",
+    "errors",
     "fly",
     "list_estimators",
     "list_scenarios",
     "load_plugin",
     "load_scenario",
     "make_estimator",
+    "plot_errors",
     "run",
     "score",
     "sense",

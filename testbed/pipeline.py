@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from testbed.base.errors import InputError
 from testbed.base.schema import validate
 from testbed.base.streams import stream
 from testbed.data.records import NavSolution, SensorErrors, SensorLog, Trajectory
-from testbed.scenario import Scenario, WindowConfig, set_key
+from testbed.scenario import Scenario, WindowConfig, load_scenario, set_key
 from testbed.scenario.windows import Window, resolve_windows
 
 if TYPE_CHECKING:
@@ -89,11 +90,12 @@ def _dispersed(data: dict[str, Any], pattern: str, needs_value: bool, where: str
     return found
 
 
-def fly(scenario: Scenario, run: int = 0) -> Trajectory:
+def fly(scenario: Scenario | str | Path, run: int = 0) -> Trajectory:
     """The truth of a run: the JSBSim flight (cached), the trajectory of a file, or the reference of a recording.
 
-    Raises FlightError when the aircraft cannot fly the script, InputError when a recording has no reference.
+    A text is the name of a shipped scenario or the path of a file, here and in `sense` and `score`. Raises FlightError when the aircraft cannot fly the script, InputError when a recording has no reference.
     """
+    scenario = _loaded(scenario)
     if scenario.recording is not None:
         truth = _recorded_truth(scenario, run)
         if scenario.sensors is None:
@@ -107,6 +109,10 @@ def fly(scenario: Scenario, run: int = 0) -> Trajectory:
     with _named(scenario, "flight"):
         config, seed = flight_of_run(scenario, run)
         return fly_flight(config, seed)
+
+
+def _loaded(scenario: Scenario | str | Path) -> Scenario:
+    return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
 
 
 def _recorded_truth(scenario: Scenario, run: int) -> Trajectory:
@@ -138,12 +144,13 @@ def _withheld_windows(scenario: Scenario, log: SensorLog, run: int) -> tuple[tup
 
 
 def sense(
-    scenario: Scenario, trajectory: Trajectory, seed: int | None = None, run: int = 0
+    scenario: Scenario | str | Path, trajectory: Trajectory, seed: int | None = None, run: int = 0
 ) -> tuple[SensorLog, SensorErrors | None]:
     """What the sensors record on a trajectory in Monte Carlo run ``run``; ``seed`` defaults to the scenario's.
 
     For a recording without ``[sensors]``: the recording and None.
     """
+    scenario = _loaded(scenario)
     if scenario.recording is not None and scenario.sensors is None:
         from testbed.formats import holdout, load_recording
 
@@ -189,7 +196,7 @@ def truth_at_imu(trajectory: Trajectory, log: SensorLog) -> Trajectory:
 
 
 def score(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     trajectory: Trajectory,
     solution: NavSolution,
     log: SensorLog | None = None,
@@ -202,6 +209,7 @@ def score(
     """
     from testbed.scoring import metrics
 
+    scenario = _loaded(scenario)
     gnss: Any = log.gnss if log is not None else None
     truth = trajectory if log is None else truth_at_imu(trajectory, log)
     return metrics.score(truth, solution, windows_of(scenario, trajectory, log), errors=errors, gnss=gnss)

@@ -42,7 +42,7 @@ SCALARS = (
 VECTORS = ("x_e", "v_e")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class GnssObservations(Samples):
     """One row per satellite and epoch: ``t`` (M,) in order, and within an epoch ``sv`` in order.
 

@@ -20,6 +20,7 @@ from testbed.base.errors import InputError
 from testbed.data import specs
 from testbed.data.columns import columns, exact_columns, pva_columns, read_pva, read_table, stack, write_table
 from testbed.data.shapes import check_arrays
+from testbed.data.shown import Shown, in_words
 from testbed.data.solution import (
     ACCEL_BIAS_STATES as ACCEL_BIAS_STATES,
 )
@@ -54,6 +55,7 @@ from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -71,8 +73,8 @@ class Phase:
     end: float
 
 
-@dataclass(frozen=True)
-class Trajectory:
+@dataclass(frozen=True, repr=False)
+class Trajectory(Shown):
     """Truth on the IMU grid.
 
     ``t`` (N,), ``lat``, ``lon`` (rad), ``h`` (m), ``v_n`` (N,3), ``q_nb`` (N,4). ``f_b`` and ``w_ib_b`` (N,3) are the
@@ -110,6 +112,12 @@ class Trajectory:
     def dt(self) -> float:
         """Sample interval, s."""
         return float((self.t[-1] - self.t[0]) / (len(self.t) - 1))
+
+    def plot(self) -> Figure:
+        """A figure (matplotlib): ground track, height, speed and attitude."""
+        from testbed.data import plots
+
+        return plots.motion(self)
 
     def to_frame(self) -> pd.DataFrame:
         """Columns ``time_s, lat_deg, lon_deg, alt_m, v_north_mps.., roll_deg.., gyro_x_radps.., accel_x_mps2..``."""
@@ -151,8 +159,8 @@ class Trajectory:
         )
 
 
-@dataclass(frozen=True)
-class ImuSamples:
+@dataclass(frozen=True, repr=False)
+class ImuSamples(Shown):
     """``t`` (N,), ``gyro`` (N,3) rad/s, ``accel`` (N,3) m/s²: means over the interval that ends at ``t``.
 
     The first interval starts at ``initial.t`` of the log.
@@ -167,8 +175,8 @@ class ImuSamples:
         check_arrays(self, "SensorLog.imu", {"gyro": (3,), "accel": (3,)})
 
 
-@dataclass(frozen=True)
-class Samples:
+@dataclass(frozen=True, repr=False)
+class Samples(Shown):
     """Base of what an aiding sensor records: ``t`` (M,), s, and fields whose shapes behind M stand in ``shapes``.
 
     A subclass adds the fields and ``spec``, the sensor's specification, which a filter may know.
@@ -182,7 +190,7 @@ class Samples:
         check_arrays(self, f"SensorLog.{self.kind}", dict(self.shapes), minimum=0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class GnssFixes(Samples):
     """``t`` (M,), ``lat``, ``lon`` (rad), ``h`` (m), ``v_n`` (M,3): of the antenna. No rows while there is an outage.
 
@@ -211,7 +219,7 @@ class GnssFixes(Samples):
         return np.tile(row, (len(self.t), 1))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MagSamples(Samples):
     """``t`` (M,), ``field`` (M,3) in µT along b."""
 
@@ -221,7 +229,7 @@ class MagSamples(Samples):
     shapes: ClassVar[Mapping[str, tuple[int | None, ...]]] = {"field": (3,)}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class BaroSamples(Samples):
     """``t`` (M,), ``pressure`` (M,) in Pa."""
 
@@ -231,8 +239,8 @@ class BaroSamples(Samples):
     shapes: ClassVar[Mapping[str, tuple[int | None, ...]]] = {"pressure": ()}
 
 
-@dataclass(frozen=True)
-class InitialState:
+@dataclass(frozen=True, repr=False)
+class InitialState(Shown):
     """Where a filter starts: mean at time ``t`` and ``std`` (15,) in the order of `STATE_NAMES`."""
 
     t: float
@@ -246,8 +254,8 @@ class InitialState:
     std: Array
 
 
-@dataclass(frozen=True, init=False)
-class SensorLog:
+@dataclass(frozen=True, init=False, repr=False)
+class SensorLog(Shown):
     """Exactly what a filter may know: recordings, the sensors' specifications, and the initial state. No truth.
 
     ``aiding`` maps a kind of sensor (``gnss``, ``gnss_raw``, ``mag``, ``baro``, ``odometer``, one's own) to its `Samples`. A kind is also
@@ -290,6 +298,17 @@ class SensorLog:
         if kind in ("gnss", "mag", "baro") or kind in _sensors():
             return None
         raise AttributeError(f"a SensorLog has no '{kind}'; this one has {', '.join(['imu', *self.aiding])}")
+
+    def _told(self) -> tuple[str, list[tuple[str, str]]]:
+        kinds = {"imu": self.imu} | dict(self.aiding)
+        rows = [(kind, in_words(samples).partition(": ")[2] + _model_of(samples)) for kind, samples in kinds.items()]
+        return f"SensorLog {self.name}".strip(), [*rows, ("initial", f"at {self.initial.t:.6g} s")]
+
+    def plot(self) -> Figure:
+        """A figure (matplotlib): angular rate, specific force, and place of the GNSS fixes over time."""
+        from testbed.data import plots
+
+        return plots.log(self)
 
     def to_frame(self) -> pd.DataFrame:
         """The IMU table: ``time_s, gyro_x_radps.., accel_x_mps2..``. Aiding sensors: see `frames`."""
@@ -353,6 +372,11 @@ def _sensors() -> dict[str, Any]:
     return SAMPLES
 
 
+def _model_of(samples: Any) -> str:
+    name = getattr(getattr(samples, "spec", None), "name", "")
+    return f", {name}" if name else ""
+
+
 def _plain_table(samples: Any) -> dict[str, Array]:
     """Of samples that no registered sensor describes: time and the fields named in ``shapes``, a vector's by number."""
     out = {"time_s": samples.t}
@@ -362,8 +386,8 @@ def _plain_table(samples: Any) -> dict[str, Array]:
     return out
 
 
-@dataclass(frozen=True)
-class SensorErrors:
+@dataclass(frozen=True, repr=False)
+class SensorErrors(Shown):
     """What `sense` drew beside a log, for scoring only: the true bias (N,3) at each IMU time, and drawn constants."""
 
     t: Array

@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from testbed.base.errors import InputError
 from testbed.data.columns import Array, columns, exact_columns, pva_columns, read_pva, read_table, stack, write_table
 from testbed.data.shapes import check_arrays
+from testbed.data.shown import Shown
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 POSITION_STATES = ("position_north_m", "position_east_m", "position_down_m")
 VELOCITY_STATES = ("velocity_north_mps", "velocity_east_mps", "velocity_down_mps")
@@ -38,8 +40,8 @@ GNSS_CHANNELS = ("north, m", "east, m", "down, m", "north, m/s", "east, m/s", "d
 """Names of the six channels of a loosely coupled filter's innovation."""
 
 
-@dataclass(frozen=True)
-class Innovations:
+@dataclass(frozen=True, repr=False)
+class Innovations(Shown):
     """A filter's innovations at one aiding: ``t`` (M,), ``value`` (M,m), ``covariance`` (M,m,m), in SI units of the measurement.
 
     ``names`` of the m channels, for plots; six unnamed channels are position and velocity of a GNSS fix. ``rejected`` (M,)
@@ -86,8 +88,8 @@ class Innovations:
         return Innovations(self.t[keep], self.value[keep], self.covariance[keep], self.names)
 
 
-@dataclass(frozen=True)
-class NavSolution:
+@dataclass(frozen=True, repr=False)
+class NavSolution(Shown):
     """An estimator's answer, usually at the IMU times.
 
     ``t`` (N,), ``lat``, ``lon``, ``h``, ``v_n``, ``q_nb`` as in `Trajectory`; ``accel_bias``, ``gyro_bias`` (N,3) in b;
@@ -140,6 +142,12 @@ class NavSolution:
             raise InputError(
                 f"NavSolution: 'q_nb' must be unit quaternions, but has norm {norm[k]:.6g} at sample {k} (t = {self.t[k]:.6g} s)"
             )
+
+    def plot(self) -> Figure:
+        """A figure (matplotlib): estimated ground track, height, speed and attitude; errors: `testbed.plot_errors`."""
+        from testbed.data import plots
+
+        return plots.motion(self)
 
     def to_frame(self) -> pd.DataFrame:
         """Columns as in `Trajectory`, then biases, estimates, and ``std_`` + state name, as far as the estimator gives them."""

@@ -47,7 +47,7 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
     components: dict[str, dict[str, list[str]]] = {}
     for entry, solution, series in solved:
         slug = slugs[entry.row]
-        files[f"errors-{slug}.parquet"] = _parquet(_thin(_errors_frame(solution, series)))
+        files[f"errors-{slug}.parquet"] = _parquet(_thin(errors_frame(solution, series)))
         if told := {aiding: nu for aiding, nu in solution.innovations.items() if len(nu.t)}:
             files[f"innovations-{slug}.parquet"] = _parquet(_innovations_frame(told))
             channels[entry.row] = {aiding: list(nu.channels) for aiding, nu in told.items()}
@@ -137,7 +137,8 @@ def _slugs(rows: Sequence[str]) -> dict[str, str]:
     return out
 
 
-def _errors_frame(solution: NavSolution, series: ErrorSeries) -> pd.DataFrame:
+def errors_frame(solution: NavSolution, series: ErrorSeries) -> pd.DataFrame:
+    """Errors over time, ``time_s`` and `AXES`; the filter's own ``sigma_`` of each; ``lat_deg, lon_deg, alt_m``. NaN: unknown."""
     import pandas as pd
 
     columns: dict[str, Array] = {"time_s": series.t}

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from testbed.base.figure_style import COLOURS, STYLE, WIDTH, new_figure
 from testbed.base.files import write_with
 from testbed.report import geometry, innovations
 from testbed.report.headline import headline
-from testbed.report.labels import COLOURS, component_label, short_name
+from testbed.report.labels import component_label, short_name
 from testbed.report.results import Result, thin
 from testbed.scoring.quantities import GROUPS, MAIN, axis_title, quantity_label, unit
 
@@ -25,29 +26,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDTH = 6.3  # inches: the text width of an A4 page
 POINTS = 700  # per line: about one per pixel of the printed width
 MOST_EXTRAS = 3
 FAR = 1e-2  # of the expected value: so far below it, a filter's covariance says nothing
 MOST_LINES = 8  # colours that a reader can tell apart
 DASHES = ["-", "--", ":", "-.", (0, (6, 1.5)), (0, (4, 1, 1, 1, 1, 1))]
-STYLE: Any = {
-    "font.size": 8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.linewidth": 0.4,
-    "grid.color": "#dddddd",
-    "legend.frameon": False,
-    "legend.fontsize": 7,
-    "lines.linewidth": 1.0,
-    "svg.hashsalt": "testbed",
-    "text.parse_math": False,
-    "svg.fonttype": "none",
-    "path.simplify_threshold": 0.5,
-}
 DPI = 120
 PLAIN = "{x:g}"  # tick labels: a power of ten as mathematics takes ten times as long to set
 Spans = Sequence[tuple[float, float]]
@@ -63,7 +46,7 @@ class Drawing(NamedTuple):
 
 def ground_track(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], outages: Spans = ()) -> Figure:
     """North over east from the start, equal axes; the truth without GNSS drawn broad."""
-    figure = _figure(4.2)
+    figure = new_figure(4.2)
     ax = figure.add_axes((0.11, 0.12, 0.86, 0.80))
     east, north, _ = geometry.local(truth, truth)
     for a, b in outages:
@@ -83,7 +66,7 @@ def ground_track(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], out
 
 def path_3d(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame]) -> Figure:
     """The flight in space; height is stretched where the flight is flat, and the axis says so."""
-    figure = _figure(4.0)
+    figure = new_figure(4.0)
     ax: Any = figure.add_axes((0.0, 0.03, 0.97, 0.92), projection="3d")
     east, north, up = geometry.local(truth, truth)
     (x0, x1), (y0, y1) = geometry.map_limits(east, north)
@@ -109,7 +92,7 @@ def error_traces(
     band: str = "",
 ) -> Figure:
     """Error over time of one flight, one panel per quantity; the three-sigma band of the estimator named ``band``."""
-    figure = _figure(1.15 * len(quantities) + 0.8)
+    figure = new_figure(1.15 * len(quantities) + 0.8)
     axes = _panels(figure, len(quantities))
     for k, (label, frame) in enumerate(errors.items()):
         for ax, quantity in zip(axes, quantities, strict=True):
@@ -131,7 +114,7 @@ def error_traces(
 
 def rmse_bars(summary: pd.DataFrame, estimators: Sequence[str], window: str) -> Figure:
     """Mean RMSE per axis with its 95 % interval, one panel each for position, velocity and attitude."""
-    figure = _figure(2.6)
+    figure = new_figure(2.6)
     axes = figure.subplots(1, 3)
     figure.subplots_adjust(left=0.07, right=0.995, bottom=0.12, top=0.84, wspace=0.24)
     table = summary[summary["window"] == window].set_index(["metric", "estimator"])
@@ -160,7 +143,7 @@ def rmse_bars(summary: pd.DataFrame, estimators: Sequence[str], window: str) -> 
 
 def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[str]) -> Figure:
     """Box plots over the runs: median, quartiles, whiskers at 5 and 95 %, the runs outside of them."""
-    figure = _figure(0.9 + 0.26 * len(estimators))
+    figure = new_figure(0.9 + 0.26 * len(estimators))
     axes = np.atleast_1d(figure.subplots(1, len(metrics), sharey=True))
     names = [short_name(name, 40) for name in estimators]  # 40 characters take 45 % of the width
     bottom, left = 0.42 / figure.get_figheight(), 0.03 + 0.0105 * max(map(len, names), default=0)
@@ -185,7 +168,7 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
 
 def envelopes(table: pd.DataFrame, quantities: Sequence[str], outages: Spans = (), phases: Phases = ()) -> Figure:
     """RMS error over the runs (line) and the filter's own mean sigma (dotted): they meet when a filter is consistent."""
-    figure = _figure(1.15 * len(quantities) + 0.8)
+    figure = new_figure(1.15 * len(quantities) + 0.8)
     axes, shown = _panels(figure, len(quantities)), list(dict.fromkeys(table["estimator"]))
     for ax, quantity in zip(axes, quantities, strict=True):
         rows = table[table["quantity"] == quantity]
@@ -207,7 +190,7 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str]) -> Figure:
     from matplotlib.ticker import LogLocator
 
     quantities = list(dict.fromkeys(table["quantity"]))
-    figure = _figure(1.0 + 0.16 * len(estimators) * len(quantities))
+    figure = new_figure(1.0 + 0.16 * len(estimators) * len(quantities))
     bottom = 0.42 / figure.get_figheight()
     ax = figure.add_axes((0.17, bottom, 0.80, 0.98 - bottom - 0.24 / figure.get_figheight()))
     step = 0.7 / max(1, len(estimators))
@@ -245,7 +228,7 @@ def extras(
 ) -> Figure:
     """What an estimator reports beside its state (mode probabilities, network outputs), one panel per name."""
     names = list(dict.fromkeys(table["name"]))[:4]
-    figure = _figure(1.3 * len(names) + 0.8)
+    figure = new_figure(1.3 * len(names) + 0.8)
     axes = _panels(figure, len(names))
     for ax, name in zip(axes, names, strict=True):
         for k, (component, group) in enumerate(table[table["name"] == name].groupby("component", sort=False)):
@@ -327,15 +310,6 @@ def save(drawing: Drawing, path: Path, svg: bool = True) -> None:
         if svg:
             plain = {"Date": None, "Creator": None}
             write_with(path.with_suffix(".svg"), partial(figure.savefig, format="svg", metadata=plain))
-
-
-def _figure(height: float) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH, height))
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def _panels(figure: Figure, rows: int) -> list[Axes]:

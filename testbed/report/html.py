@@ -15,10 +15,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from testbed.base.figure_style import COLOURS
 from testbed.report import innovations, provenance, tables
 from testbed.report.charts import charts
 from testbed.report.headline import headline
-from testbed.report.labels import COLOURS, window_label
+from testbed.report.labels import window_label
 from testbed.report.results import Result
 from testbed.report.sensors import sensor_tables
 from testbed.report.text import comparison_windows

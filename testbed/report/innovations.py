@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from testbed.report.labels import COLOURS, number, percent
+from testbed.base.figure_style import COLOURS
+from testbed.report.labels import number, percent
 from testbed.report.results import Result
 from testbed.report.tables import Cell, Column, Table
 

@@ -1,7 +1,6 @@
 """Words, colours and number formats, one definition for tables, figures and pages; quantities: `testbed.scoring.quantities`.
 
-Colours: Okabe and Ito (2008), a palette that stays distinct under the common colour-vision deficiencies; yellow is left out
-(unreadable on white). Line styles repeat the distinction for print in grey.
+Colours: `testbed.base.figure_style`. Line styles repeat the distinction for print in grey.
 """
 
 from __future__ import annotations
@@ -9,17 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-# (on white, on dark)
-COLOURS = [
-    ("#0072B2", "#4FA8DE"),
-    ("#D55E00", "#F0803C"),
-    ("#009E73", "#2CC79B"),
-    ("#CC79A7", "#E29AC2"),
-    ("#B07A00", "#E6B23C"),
-    ("#3A9BDC", "#8CCBF2"),
-    ("#7A4FA3", "#B493D6"),
-    ("#5B5B5B", "#B5B5B5"),
-]
 DASHES = ["solid", "dash", "dot", "dashdot", "longdash", "longdashdot"]
 MISSING = "–"
 

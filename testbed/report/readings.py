@@ -15,13 +15,14 @@ import pandas as pd
 
 from testbed.base.csv_text import read_csv
 from testbed.base.errors import InputError
+from testbed.base.figure_style import COLOURS, WIDTH
 from testbed.base.files import as_json
 from testbed.base.schema import validate
 from testbed.montecarlo.folders import Folder, read_manifest
 from testbed.montecarlo.readings import COLUMNS, KIND, slug
 from testbed.report import html
-from testbed.report.figures import WIDTH, Drawing, save
-from testbed.report.labels import COLOURS, percent, verdict_kind, window_label
+from testbed.report.figures import Drawing, save
+from testbed.report.labels import percent, verdict_kind, window_label
 from testbed.report.tables import Cell, Column, Table, claim_cells
 from testbed.report.text import markdown_table
 from testbed.scoring.claims import ReadingConfig

@@ -273,6 +273,20 @@ class Scenario(Table):
                     raise ValueError(f"claim '{claim.id or claim.text}' names '{row}'; {nearest(row, rows)}")
         return self
 
+    def __repr__(self) -> str:
+        flight, rows = self.flight, ", ".join(entry.row for entry in self.estimators)
+        who = next((getattr(flight, key) for key in ("aircraft", "vehicle", OWN_TRACK) if hasattr(flight, key)), None)
+        motion = f"{flight.type}, {who}" if flight is not None else f"recording, {self.recording.format}"  # type: ignore[union-attr]
+        sensors = (
+            ", ".join(k for k in type(self.sensors).model_fields if getattr(self.sensors, k) is not None)
+            if self.sensors
+            else "as recorded"
+        )
+        told = {"motion": motion, "sensors": sensors, "estimators": rows, "runs": self.monte_carlo.runs}
+        return "\n".join([f"Scenario {self.name}", *(f"  {key:10s}  {value}" for key, value in told.items())])
+
+    __str__ = __repr__
+
     @property
     def name(self) -> str:
         """``[scenario] name``."""

@@ -53,7 +53,7 @@ class AirspeedConfig(SensorTable):
         return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class AirspeedSamples(Samples):
     """``t`` (M,), ``speed`` (M,) true airspeed, m/s."""
 

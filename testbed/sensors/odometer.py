@@ -66,7 +66,7 @@ class OdometerConfig(SensorTable):
         return replace(self._figures(), lever_arm_b=self.lever_arm_m)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OdometerSamples(Samples):
     """``t`` (M,), ``speed`` (M,) m/s along the rolling direction, negative backwards."""
 
