@@ -51,7 +51,8 @@ def _fly(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> T
     import numpy as np
 
     from testbed.base.errors import FlightError
-    from testbed.flight.driver import AIR, FEWEST_SAMPLES, fly_script
+    from testbed.flight.driver import AIR, fly_script
+    from testbed.flight.script import FEWEST_SAMPLES
     from testbed.flight.truth import make_trajectory
     from testbed.physics.earth import G0
 
