@@ -222,7 +222,8 @@ class _Pilot:
         _hand_over(state, truth)
         flown_v_n, flown_q_nb = truth.finish()
         flown_v_n, flown_q_nb = flown_v_n[:samples], flown_q_nb[:samples]
-        air = np.frombuffer(self.air).reshape(-1, len(AIR)) * np.array([factor for _, factor in AIR])
+        air = np.frombuffer(self.air).reshape(-1, len(AIR))
+        air *= np.array([factor for _, factor in AIR])
         return Recording(
             flown_v_n,
             flown_q_nb,
