@@ -29,7 +29,7 @@ class InitialFlightState(Table):
     alt_m: float = Field(default=1000.0, ge=0, le=30_000)
     speed_mps: float = Field(default=0.0, ge=0, le=1000)
     heading_deg: float = Field(default=0.0, ge=-360, le=360)
-    parked: bool | None = None
+    parked: bool | None = Field(default=None, description="On the ground, which lies at alt_m, with brakes set")
 
     @model_validator(mode="after")
     def _moves_or_stands(self) -> InitialFlightState:
@@ -258,22 +258,29 @@ class LineUp(_Grounded):
     """Roll on to a heading, that of the runway, and stop."""
 
     type: Literal["line_up"]
-    to_heading_deg: float = Field(ge=-360, le=360)
+    to_heading_deg: float = Field(ge=-360, le=360, description="Of the runway, °")
 
 
 class TakeOff(Manoeuvre):
     """Take off straight ahead and climb to a height above the runway, at ``speed_mps`` or the aircraft's usual speed."""
 
     type: Literal["take_off"]
-    to_height_m: float = Field(default=100.0, ge=30, le=1000)
+    to_height_m: float = Field(
+        default=100.0,
+        ge=30,
+        le=1000,
+        description="Above the runway, m; default: about 300 feet, where circuits begin to turn",
+    )
 
 
 class Approach(Manoeuvre):
     """Fly to the extended centreline and down the glide path of a runway: that of the take-off, or another one."""
 
     type: Literal["approach"]
-    glide_deg: float = Field(default=3.0, ge=2, le=6)
-    heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    glide_deg: float = Field(
+        default=3.0, ge=2, le=6, description="Angle of the glide path, °; default: that of most ILS"
+    )
+    heading_deg: float | None = Field(default=None, ge=-360, le=360, description="Of another runway, °")
     point: Waypoint | None = None
     """Where the glide path meets the ground; default 300 m beyond the place where the take-off began."""
 
@@ -322,7 +329,8 @@ def manoeuvre_keys() -> dict[str, tuple[str, str]]:
     """Of each type of manoeuvre what it does, and its keys in words."""
     found = {}
     for kind in typing.get_args(typing.get_args(AnyManoeuvre)[0]):
-        fields = {key: field for key, field in kind.model_fields.items() if key != "type"}
+        hidden = {"type", "speed_mps"} if issubclass(kind, _Grounded | _SpeedChange) else {"type"}
+        fields = {key: field for key, field in kind.model_fields.items() if key not in hidden}
         needed = [key for key, field in fields.items() if field.is_required()]
         free = [key for key in fields if key not in needed and key not in kind.ends]
         parts = [", ".join(needed)] if needed else []
