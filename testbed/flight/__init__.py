@@ -51,7 +51,8 @@ def _fly(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> T
     import numpy as np
 
     from testbed.base.errors import FlightError
-    from testbed.flight.driver import AIR, FEWEST_SAMPLES, fly_script
+    from testbed.flight.driver import AIR, fly_script
+    from testbed.flight.script import FEWEST_SAMPLES
     from testbed.flight.truth import make_trajectory
     from testbed.physics.earth import G0
 
@@ -61,6 +62,9 @@ def _fly(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> T
         raise FlightError(f"a flight of {rows} samples is too short")
     t = np.arange(rows) / config.rate_hz
     extra = {name: np.interp(t, flown.air_t, flown.air[:, i]) for i, (name, _) in enumerate(AIR)}
-    truth = make_trajectory(flown.v_n, flown.q_nb, config.rate_hz, flown.start, extra, flown.phases, config.aircraft)
+    del t
+    v_n, q_nb, start, phases = flown.v_n, flown.q_nb, flown.start, flown.phases
+    del flown  # with the air data at their own rate, a tenth of a long flight's memory
+    truth = make_trajectory(v_n, q_nb, config.rate_hz, start, extra, phases, config.aircraft)
     extra["load_factor"] = -truth.f_b[:, 2] / G0
     return truth

@@ -20,7 +20,7 @@ from testbed.data.records import Trajectory
 from testbed.flight.config import FlightConfig
 from testbed.flight.models import files_of
 
-CODE_VERSION = 4
+CODE_VERSION = 5
 """Raise it with every change of this package that changes a flight."""
 FORMAT = 2
 """Of the files: since the second they carry the hashes of their content and of their flight."""

@@ -22,18 +22,24 @@ Direction = Literal["left", "right"]
 
 
 class InitialFlightState(Table):
-    """``[flight.initial]``: where the flight starts, level and trimmed."""
+    """``[flight.initial]``: where the flight starts, level and trimmed in the air, or parked on a runway at ``alt_m``."""
 
     lat_deg: float = Field(default=45.0, ge=-85, le=85)
     """Geodetic latitude."""
     lon_deg: float = Field(default=10.0, ge=-180, le=180)
     """Longitude, positive east."""
     alt_m: float = Field(default=1000.0, ge=0, le=30_000)
-    """Height above the ellipsoid."""
-    speed_mps: Speed
-    """True airspeed; the aircraft is trimmed for it."""
+    speed_mps: float = Field(default=0.0, ge=0, le=1000)
     heading_deg: float = Field(default=0.0, ge=-360, le=360)
-    """From true north, clockwise."""
+    parked: bool | None = Field(default=None, description="On the ground, which lies at alt_m, with brakes set")
+
+    @model_validator(mode="after")
+    def _moves_or_stands(self) -> InitialFlightState:
+        if self.parked and self.speed_mps:
+            raise ValueError("a parked aircraft has no speed_mps; remove one of the two")
+        if not self.parked and not self.speed_mps:
+            raise ValueError("a flight that begins in the air needs speed_mps above 0; on the ground say parked = true")
+        return self
 
 
 class Wind(Table):
@@ -272,8 +278,88 @@ class Waypoints(Manoeuvre):
     """A point counts as reached when passed within this."""
 
 
+class _Grounded(Manoeuvre):
+    @model_validator(mode="after")
+    def _no_speed(self) -> _Grounded:
+        if self.speed_mps is not None:
+            raise ValueError("speed_mps has no meaning here; remove it")
+        return self
+
+
+class Park(_Grounded):
+    """Stand on the ground, held fast: truth for an alignment at rest."""
+
+    type: Literal["park"]
+    duration_s: Duration
+
+
+class LineUp(_Grounded):
+    """Roll on to a heading, that of the runway, and stop."""
+
+    type: Literal["line_up"]
+    to_heading_deg: float = Field(ge=-360, le=360, description="Of the runway, °")
+
+
+class TakeOff(Manoeuvre):
+    """Take off straight ahead and climb to a height above the runway, at ``speed_mps`` or the aircraft's usual speed."""
+
+    type: Literal["take_off"]
+    to_height_m: float = Field(
+        default=100.0,
+        ge=30,
+        le=1000,
+        description="Above the runway, m; default: about 300 feet, where circuits begin to turn",
+    )
+
+
+class Approach(Manoeuvre):
+    """Fly to the extended centreline and down the glide path of a runway: that of the take-off, or another one."""
+
+    type: Literal["approach"]
+    glide_deg: float = Field(
+        default=3.0, ge=2, le=6, description="Angle of the glide path, °; default: that of most ILS"
+    )
+    heading_deg: float | None = Field(default=None, ge=-360, le=360, description="Of another runway, °")
+    point: Waypoint | None = None
+    """Where the glide path meets the ground; default 300 m beyond the place where the take-off began."""
+
+    @model_validator(mode="after")
+    def _whole_runway(self) -> Approach:
+        if (self.heading_deg is None) != (self.point is None):
+            raise ValueError("another runway than that of the take-off needs both heading_deg and point")
+        if self.point is not None and self.point.alt_m is not None:
+            raise ValueError(
+                "point.alt_m has no meaning here: the ground is level, at the height where the flight began"
+            )
+        return self
+
+
+class Land(_Grounded):
+    """Flare, touch down and brake to a stop; comes after an approach."""
+
+    type: Literal["land"]
+
+
+ON_THE_GROUND = (Park, LineUp, TakeOff, Land)
+"""Manoeuvres that are, at least in part, on the ground."""
+
 AnyManoeuvre = Annotated[
-    Straight | Turn | Climb | Descent | Loiter | STurn | FigureEight | Accelerate | Decelerate | Doublet | Waypoints,
+    Straight
+    | Turn
+    | Climb
+    | Descent
+    | Loiter
+    | STurn
+    | FigureEight
+    | Accelerate
+    | Decelerate
+    | Doublet
+    | Waypoints
+    | Park
+    | LineUp
+    | TakeOff
+    | Approach
+    | Land,
     Field(discriminator="type"),
 ]
 
@@ -282,7 +368,8 @@ def manoeuvre_keys() -> dict[str, tuple[str, str]]:
     """Of each type of manoeuvre what it does, and its keys in words."""
     found = {}
     for kind in typing.get_args(typing.get_args(AnyManoeuvre)[0]):
-        fields = {key: field for key, field in kind.model_fields.items() if key != "type"}
+        hidden = {"type", "speed_mps"} if issubclass(kind, _Grounded | _SpeedChange) else {"type"}
+        fields = {key: field for key, field in kind.model_fields.items() if key not in hidden}
         needed = [key for key, field in fields.items() if field.is_required()]
         free = [key for key in fields if key not in needed and key not in kind.ends]
         parts = [", ".join(needed)] if needed else []

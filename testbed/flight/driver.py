@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import struct
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,33 +20,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.base.errors import FlightError, TestbedError, tell_user
+from testbed.base.errors import FlightError
 from testbed.data.records import Phase
 from testbed.flight import autopilot_kernels as ap
 from testbed.flight import manoeuvres
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.autopilot import gain_array
-from testbed.flight.config import FlightConfig, Loiter, Straight
-from testbed.flight.simulator import FOOT, KELVIN_PER_RANKINE, STATE, Simulator
+from testbed.flight.config import FlightConfig
+from testbed.flight.script import FEWEST_SAMPLES, MOST_SAMPLES, Script, check_script, script_duration
+from testbed.flight.simulator import FOOT, IN_THE_AIR, KELVIN_PER_RANKINE, ON_WHEELS, STATE, Simulator
 from testbed.flight.truth import Resampler
-from testbed.physics.earth import G0, metres_per_radian
+from testbed.flight.undercarriage import Undercarriage
+from testbed.physics.earth import metres_per_radian
 
 STEP_HZ = 400.0
 """Steps of JSBSim per second. The aerosonde's roll mode (33 ms) is resolved by 13; in turbulence the specific force is
 within 1 % of that at 800 Hz, at 200 Hz within 3 % (six seeds)."""
-FEWEST_SAMPLES = 4
-"""The spline through the velocities needs as many knots (de Boor, chapter IV, not-a-knot ends)."""
 FLUSH = 1 << 14
 """Steps that are kept before they go to the splines: the memory of a flight does not grow with its knots."""
-MOST_SAMPLES = 2e7
-"""A sample of the truth has 30 columns: with more, a flight needs above 5 GB of memory."""
-LONG_S = 20_000.0
-"""A longer flight takes above half a minute (about 1000 s of flight in 1 s), which is announced."""
 STEPS_PER_CONTROL = 8
 CONTROLS_PER_GUIDANCE = 5
 CONTROLS_PER_AIR_SAMPLE = 2
 GROUND_M = 1.0
 """Below this height over ground the aircraft has hit it."""
+WHEELS_M = 2.0
+"""Wheels this low: integration as they need it, from the tick of guidance (0.1 s) before they touch at the latest."""
+TIPPED = math.radians(25.0)
 STALL_TICKS, LAG_TICKS = 5, 200
 """Guidance ticks (0.1 s) beyond the stall, or far from a target, after which the flight has failed."""
 SETTLE_MIN_S, SETTLE_MAX_S, WIND_RAMP_S, GUST_S = 8.0, 90.0, 6.0, 5.0
@@ -85,7 +84,10 @@ def fly_script(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int
     """Fly the whole script. Raises FlightError that names manoeuvre and time."""
     check_script(config, aircraft)
     pilot = _Pilot(config, aircraft, Simulator(config, aircraft, folder, 1.0 / STEP_HZ, seed))
-    pilot.settle(config)
+    if config.initial.parked:
+        pilot.park(config)
+    else:
+        pilot.settle(config)
     return pilot.fly(config)
 
 
@@ -95,60 +97,6 @@ def steps_per_sample(rate_hz: float) -> int:
     stride = round(STEP_HZ / rate_hz)
     whole = stride >= 1 and math.isclose(stride * rate_hz, STEP_HZ, rel_tol=1e-12)
     return stride if whole and STEPS_PER_CONTROL % stride == 0 else 1
-
-
-def script_duration(config: FlightConfig) -> float | None:
-    """Length of the flight (s) where the script fixes it, else None."""
-    if config.duration_s is not None:
-        return config.duration_s
-    durations = [getattr(m, "duration_s", None) for m in config.manoeuvres]
-    return None if None in durations else float(sum(durations))  # type: ignore[arg-type]
-
-
-def check_script(config: FlightConfig, aircraft: Aircraft) -> None:
-    """Refuse what the aircraft cannot do before it takes off: speeds, banks, loads and climbs beyond its limits."""
-    name, limits, speed = config.aircraft, aircraft.limits, config.initial.speed_mps
-    duration = script_duration(config)
-    expected = manoeuvres.expected_duration(config) if duration is None else duration
-    if expected * config.rate_hz > MOST_SAMPLES:
-        raise FlightError(
-            f"a flight of about {expected:.3g} s at {config.rate_hz:g} Hz has more than the {MOST_SAMPLES:.0e} samples that are kept"
-        )
-    if expected > LONG_S:
-        tell_user(f"the flight lasts about {expected:.0f} s; that takes its time")
-    if duration is not None and round(duration * config.rate_hz) + 1 < FEWEST_SAMPLES:
-        raise FlightError(
-            f"a flight of {duration:g} s at {config.rate_hz:g} Hz is too short: it needs {FEWEST_SAMPLES} samples"
-        )
-    _check_speed("initial", name, aircraft, speed)
-    for number, m in enumerate(config.manoeuvres, 1):
-        place = f"manoeuvre {number} of {len(config.manoeuvres)} ({m.type})"
-        wanted = getattr(m, "to_speed_mps", None) or m.speed_mps
-        if wanted is not None:
-            _check_speed(place, name, aircraft, wanted)
-            speed = wanted
-        bank = abs(getattr(m, "bank_deg", 0.0))
-        if isinstance(m, Loiter):
-            bank = math.degrees(math.atan(speed * speed / (G0 * m.radius_m)))
-        load = 1.0 / math.cos(math.radians(bank))
-        if bank > limits.bank_max_deg or load > limits.load_factor_max:
-            raise FlightError(
-                f"{place}: needs {bank:.0f}° of bank and {load:.1f} g at {speed:g} m/s, but '{name}' stands "
-                f"{limits.bank_max_deg:g}° and {limits.load_factor_max:g} g"
-            )
-        climb = abs(getattr(m, "climb_rate_mps", None) or 0.0)
-        if angle := getattr(m, "path_angle_deg", None):
-            climb = speed * math.sin(math.radians(angle))
-        if climb > limits.climb_max_mps:
-            raise FlightError(
-                f"{place}: {climb:.1f} m/s up or down, but '{name}' climbs and descends at most {limits.climb_max_mps:g} m/s"
-            )
-
-
-def _check_speed(place: str, name: str, aircraft: Aircraft, speed: float) -> None:
-    low, high = aircraft.limits.speed_min_mps, aircraft.limits.speed_max_mps
-    if not low <= speed <= high:
-        raise FlightError(f"{place}: speed {speed:g} m/s, but '{name}' flies {low:g} to {high:g} m/s")
 
 
 class _Pilot:
@@ -164,6 +112,9 @@ class _Pilot:
         # a memory view gives plain numbers, in a third of the time that an element of a numpy array takes
         self.wanted, self.held = memoryview(self.target), memoryview(self.memory)
         self.situation = manoeuvres.Situation(aircraft, memoryview(self.measured), self.target)
+        self.wheels = simulator.undercarriage if config.initial.parked else None
+        self.situation.undercarriage = self.wheels
+        self.on_wheels = config.initial.parked
         self.air = array("d")
         self.read, self.act, self.record = _make_tick(self)
         self.steps = 0
@@ -208,6 +159,22 @@ class _Pilot:
                 self._run_tick()
         del self.air[:]
 
+    def park(self, config: FlightConfig) -> None:
+        """Let the aircraft come to rest on its wheels and hold it there; then the wind and its gusts begin."""
+        wheels = self.simulator.undercarriage
+        try:
+            self.steps += wheels.settle(STEP_HZ)
+        except FlightError as error:
+            raise FlightError(f"'{config.aircraft}': {error}") from None
+        wheels.hold(True)
+        self.target[ap.VERTICAL_MODE], self.target[ap.THROTTLE_MODE] = ap.HANDS_OFF, ap.BY_HAND
+        self.simulator.set_wind(1.0)
+        if config.wind.turbulence != "none":
+            self.simulator.turbulence_on()
+        # what moved until it was held is not part of the flight
+        for _ in range(STEPS_PER_CONTROL):
+            self.simulator.run()
+
     def fly(self, config: FlightConfig) -> Recording:
         """Fly the manoeuvres and record."""
         duration = script_duration(config)
@@ -219,7 +186,7 @@ class _Pilot:
         start = *origin, self.simulator.motion[6]() * FOOT
         stride = steps_per_sample(config.rate_hz)
         truth = Resampler(STEP_HZ / stride, config.rate_hz)
-        script = _Script(config, s)
+        script = Script(config, s)
         v_n, v_e, v_d, roll, pitch, yaw = self.simulator.state
         # a row is packed before it is stored: an array that is extended by a tuple takes twice as long
         pack, state = struct.Struct(f"{len(STATE)}d").pack, array("d")
@@ -255,7 +222,8 @@ class _Pilot:
         _hand_over(state, truth)
         flown_v_n, flown_q_nb = truth.finish()
         flown_v_n, flown_q_nb = flown_v_n[:samples], flown_q_nb[:samples]
-        air = np.frombuffer(self.air).reshape(-1, len(AIR)) * np.array([factor for _, factor in AIR])
+        air = np.frombuffer(self.air).reshape(-1, len(AIR))
+        air *= np.array([factor for _, factor in AIR])
         return Recording(
             flown_v_n,
             flown_q_nb,
@@ -288,8 +256,14 @@ class _Pilot:
             cosine = math.cos(s.origin[0]) / math.cos(s.origin[0] + s.north / s.metres[0])
             s.east += half * (s.v_east + v_east) * cosine
         s.v_north, s.v_east = v_north, v_east
+        if self.wheels is not None:
+            s.throttle = float(self.command[ap.THROTTLE])
+            near = self.wheels.height() < WHEELS_M
+            if near != self.on_wheels:
+                self.on_wheels = near
+                sim.integrate(ON_WHEELS if near else IN_THE_AIR)
 
-    def _watch(self, script: _Script) -> None:
+    def _watch(self, script: Script) -> None:
         """FlightError when the aircraft has left what it can fly."""
         m = self.measured.tolist()
         roll, alpha, airspeed = m[ap.ROLL], m[ap.ALPHA], m[ap.AIRSPEED]
@@ -297,6 +271,9 @@ class _Pilot:
             script.fail(f"flies on, beyond the {MOST_SAMPLES:.0e} samples that are kept")
         if not math.isfinite(sum(m)):
             script.fail("diverged: the state of the simulation is not finite")
+        if self.situation.low and self.wheels is not None:
+            self._watch_wheels(script, self.wheels)
+            return
         if self.height_over_ground() < GROUND_M / FOOT:
             script.fail(f"hit the ground at {airspeed:.0f} m/s")
         if abs(roll) > self.roll_departed:
@@ -308,6 +285,15 @@ class _Pilot:
         self.lagging = self.lagging + 1 if what else 0
         if self.lagging > LAG_TICKS:
             script.fail(f"could not hold {what}")
+
+    def _watch_wheels(self, script: Script, wheels: Undercarriage) -> None:
+        """FlightError when the aircraft tips over, or comes down on something else than its wheels."""
+        roll, pitch = self.measured[ap.ROLL], self.measured[ap.PITCH]
+        if max(abs(roll), abs(pitch - wheels.parked_pitch)) > TIPPED:
+            script.fail(f"tips over: pitch {math.degrees(pitch):.0f}°, bank {math.degrees(roll):.0f}°")
+        if wheels.strikes():
+            speed = math.hypot(self.situation.v_north, self.situation.v_east)
+            script.fail(f"touches the ground with more than its wheels, at {speed:.0f} m/s: is the wind from behind?")
 
     def _behind(self, m: list[float]) -> str:
         """Which vertical or speed target is far away, or nothing."""
@@ -326,58 +312,6 @@ class _Pilot:
         return ""
 
 
-class _Script:
-    """Goes through the manoeuvres, keeps their phases, and names the current one in errors."""
-
-    def __init__(self, config: FlightConfig, situation: manoeuvres.Situation) -> None:
-        self.config, self.s = config, situation
-        self.number = 0
-        self.current: Iterator[None] | None = None
-        self.begins: list[float] = []
-        self.labels: list[str] = []
-
-    @property
-    def _now(self) -> str:
-        total = len(self.config.manoeuvres)
-        if self.number > total:
-            return f"after manoeuvre {total} of {total} (straight)"
-        return f"manoeuvre {self.number} of {total} ({self.config.manoeuvres[self.number - 1].type})"
-
-    def fail(self, what: str) -> None:
-        """Raise FlightError with place and time."""
-        raise FlightError(f"{self._now} at t = {self.s.t:.1f} s: '{self.config.aircraft}' {what}")
-
-    def advance(self, open_ended: bool) -> bool:
-        """One guidance tick; False when the script is over and the flight may end."""
-        while True:
-            try:
-                if self.current is not None:
-                    next(self.current)
-                    return True
-            except StopIteration:
-                self.current = None
-            except TestbedError as error:
-                self.fail(str(error))
-            if self.number >= len(self.config.manoeuvres):
-                if not open_ended:
-                    return False
-                self._begin(Straight(type="straight", duration_s=200_000.0))
-            else:
-                self._begin(self.config.manoeuvres[self.number])
-
-    def _begin(self, manoeuvre: object) -> None:
-        self.number += 1
-        self.current = manoeuvres.guide(manoeuvre, self.s)  # type: ignore[arg-type]
-        self.begins.append(self.s.begin)
-        self.labels.append(manoeuvre.label)  # type: ignore[attr-defined]
-
-    def phases(self, end: float) -> tuple[Phase, ...]:
-        """One phase per manoeuvre, cut at the end of the flight."""
-        stops = [*self.begins[1:], end]
-        pairs = zip(self.labels, self.begins, stops, strict=True)
-        return tuple(Phase(label, begin, min(stop, end)) for label, begin, stop in pairs if begin < end)
-
-
 def _hand_over(state: array[float], truth: Resampler) -> None:
     """Give the recorded steps to the splines and forget them."""
     rows = np.frombuffer(state).reshape(-1, len(STATE)) * np.array([factor for _, factor in STATE])
@@ -391,7 +325,7 @@ def _make_tick(pilot: _Pilot) -> tuple[Callable[[], None], Callable[[], None], C
     p, q, r, airspeed, alpha, beta, height, climb = sim.motion
     roll, pitch, yaw = sim.state[3:]
     left_aileron, elevator, rudder, engine, wind_n, wind_e, wind_d, temperature = sim.air
-    set_aileron, set_elevator, set_rudder = sim.surfaces
+    set_aileron, set_elevator, set_rudder, set_nose_wheel = sim.surfaces
     throttles = sim.throttles
     desk: Any = pilot.desk
     command = memoryview(pilot.command)
@@ -407,12 +341,13 @@ def _make_tick(pilot: _Pilot) -> tuple[Callable[[], None], Callable[[], None], C
 
     def act() -> None:
         step(desk, gains)
-        one, two, three, four = command.tolist()
+        one, two, three, four, five = command.tolist()
         set_aileron(one)
         set_elevator(two)
         set_rudder(three)
         for set_throttle in throttles:
             set_throttle(four)
+        set_nose_wheel(five)
 
     def record() -> None:
         store(

@@ -17,11 +17,12 @@ from testbed.base.errors import FlightError
 from testbed.flight import autopilot_kernels as ap
 from testbed.flight import config as cfg
 from testbed.flight.aircraft import Aircraft
+from testbed.flight.undercarriage import Undercarriage
 from testbed.physics.earth import G0
-from testbed.physics.earth import A as EARTH_RADIUS
 
 ROLL_OUT_LAG_S = 0.4
 """How long the bank loop lags behind its ramp: heading that a turn still gains after it is told to end."""
+Generator = Callable[..., Iterator[None]]
 PATIENCE = 3.0
 """A manoeuvre that takes this many times what it should, and a minute more, has failed."""
 
@@ -45,6 +46,13 @@ class Situation:
     v_north: float = 0.0
     v_east: float = 0.0
     end: float = field(default=0.0)
+    undercarriage: Undercarriage | None = None
+    runway: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """North and east (m) of the place where the last take-off began, and its heading (rad)."""
+    throttle: float = 0.0
+    """Its last command."""
+    low: bool = False
+    """On the ground, or so close above it that what is a fault elsewhere is none."""
 
     def of(self, index: int) -> float:
         """A measurement by its kernel index."""
@@ -61,57 +69,23 @@ class Situation:
         return G0 * math.tan(self.of(ap.ROLL)) / max(self.of(ap.AIRSPEED), 1.0)
 
 
-def expected_duration(config: cfg.FlightConfig) -> float:
-    """About how long the script takes (s), from durations, and from speed, bank and distance where it ends by those."""
-    total, speed = 0.0, config.initial.speed_mps
-    place = (0.0, 0.0)
-    for m in config.manoeuvres:
-        speed = m.speed_mps or speed
-        turn = speed / (G0 * math.tan(math.radians(abs(getattr(m, "bank_deg", 45.0)))))
-        if (duration := getattr(m, "duration_s", None)) is not None:
-            total += duration
-        elif isinstance(m, cfg.Turn):
-            total += turn * math.radians(m.heading_change_deg or 360.0)
-        elif isinstance(m, cfg.STurn):
-            total += turn * math.radians(m.heading_change_deg) * (m.legs or 0)
-        elif isinstance(m, cfg.FigureEight):
-            total += turn * 2.0 * math.pi * (m.circles or 0)
-        elif isinstance(m, cfg.Loiter):
-            total += 2.0 * math.pi * m.radius_m * (m.turns or 0.0) / speed
-        elif isinstance(m, cfg.Waypoints):
-            for point in m.points:
-                to = _about(point, config.initial)
-                total += math.dist(place, to) / speed
-                place = to
-        speed = getattr(m, "to_speed_mps", None) or speed
-    return total
-
-
-def _about(point: cfg.Waypoint, start: cfg.InitialFlightState) -> tuple[float, float]:
-    """A waypoint north and east of the start (m), on a sphere."""
-    if point.north_m is not None and point.east_m is not None:
-        return point.north_m, point.east_m
-    north = math.radians((point.lat_deg or 0.0) - start.lat_deg)
-    east = wrap(math.radians((point.lon_deg or 0.0) - start.lon_deg)) * math.cos(math.radians(start.lat_deg))
-    return north * EARTH_RADIUS, east * EARTH_RADIUS
-
-
 def wrap(angle: float) -> float:
     """Angle (rad) into [-pi, pi), in plain Python: a compiled call costs more here."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def guide(manoeuvre: cfg.Manoeuvre, s: Situation) -> Iterator[None]:
+def guide(manoeuvre: cfg.Manoeuvre, s: Situation, generator: Generator) -> Iterator[None]:
     """Run one manoeuvre: yields once per guidance tick, returns when it is done, raises FlightError when it cannot."""
     limits, target = s.aircraft.limits, s.target
     target[ap.BANK_LIMIT] = math.radians(0.6 * limits.bank_max_deg)
     target[ap.ACCELERATION] = limits.acceleration_mps2
-    target[[ap.AILERON_OFFSET, ap.ELEVATOR_OFFSET, ap.RUDDER_OFFSET]] = 0.0
+    target[[ap.AILERON_OFFSET, ap.ELEVATOR_OFFSET, ap.RUDDER_OFFSET, ap.THROTTLE_MODE, ap.STEERING]] = 0.0
+    s.low = isinstance(manoeuvre, cfg.ON_THE_GROUND)
     if manoeuvre.speed_mps is not None:
         target[ap.SPEED] = manoeuvre.speed_mps
     _hold_level(s)
     s.end = math.nan
-    yield from _GENERATORS[type(manoeuvre)](manoeuvre, s)
+    yield from generator(manoeuvre, s)
     if math.isnan(s.end):
         s.end = s.t
     s.begin = s.end
@@ -122,14 +96,14 @@ def _hold_level(s: Situation) -> None:
     s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
 
 
-def _for(s: Situation, duration_s: float) -> Iterator[None]:
+def during(s: Situation, duration_s: float) -> Iterator[None]:
     """Wait until a duration since the planned start is over."""
     s.end = s.begin + duration_s
     while s.t < s.end - 1e-9:
         yield
 
 
-def _until(s: Situation, done: Callable[[], bool], expected_s: float, goal: str) -> Iterator[None]:
+def until(s: Situation, done: Callable[[], bool], expected_s: float, goal: str) -> Iterator[None]:
     """Wait until ``done()``; FlightError when it takes much longer than expected."""
     latest = s.t + PATIENCE * expected_s + 60.0
     while not done():
@@ -139,7 +113,7 @@ def _until(s: Situation, done: Callable[[], bool], expected_s: float, goal: str)
 
 
 def _straight(m: cfg.Straight, s: Situation) -> Iterator[None]:
-    yield from _for(s, m.duration_s)
+    yield from during(s, m.duration_s)
 
 
 def _climb_while_turning(m: cfg.Climbing, s: Situation) -> None:
@@ -150,16 +124,16 @@ def _climb_while_turning(m: cfg.Climbing, s: Situation) -> None:
 
 def _level_off(m: cfg.Climbing, s: Situation) -> None:
     if m.climb_rate_mps is not None:
-        s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + _height_lead(s, m.climb_rate_mps)
+        s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + height_lead(s, m.climb_rate_mps)
     s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
 
 
-def _height_lead(s: Situation, climb_rate: float) -> float:
+def height_lead(s: Situation, climb_rate: float) -> float:
     """Height still gained when the climb rate fades with the altitude loop's time constant."""
     return climb_rate / s.aircraft.autopilot.altitude
 
 
-def _bank(s: Situation, bank: float) -> None:
+def bank_at(s: Situation, bank: float) -> None:
     s.target[ap.LATERAL_MODE] = ap.HOLD_BANK
     s.target[ap.BANK] = bank
 
@@ -190,9 +164,9 @@ def _seconds_of_turn(s: Situation, angle: float, bank: float) -> float:
 def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
     _climb_while_turning(m, s)
     bank = math.radians(m.bank_deg)
-    _bank(s, bank)
+    bank_at(s, bank)
     if m.duration_s is not None:
-        yield from _for(s, m.duration_s)
+        yield from during(s, m.duration_s)
         s.target[ap.HEADING] = wrap(s.of(ap.YAW) + _roll_out_lead(s))
     else:
         side, start = math.copysign(1.0, bank), s.of(ap.YAW)
@@ -202,9 +176,7 @@ def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
             change = (side * (math.radians(m.to_heading_deg or 0.0) - start)) % (2.0 * math.pi)
         swept = _Swept(s)
         near = lambda: side * (swept() + _roll_out_lead(s)) >= change  # noqa: E731
-        yield from _until(
-            s, near, _seconds_of_turn(s, change, bank), f"a heading change of {math.degrees(change):.0f}°"
-        )
+        yield from until(s, near, _seconds_of_turn(s, change, bank), f"a heading change of {math.degrees(change):.0f}°")
         s.target[ap.HEADING] = wrap(start + side * change)
         _hold_level_laterally(s, bank)
 
@@ -212,7 +184,7 @@ def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
             off = abs(wrap(s.target[ap.HEADING] - s.of(ap.YAW)))
             return off < math.radians(3) and abs(s.of(ap.ROLL)) < math.radians(8)
 
-        yield from _until(s, settled, 20.0, f"heading {math.degrees(s.target[ap.HEADING]) % 360:.0f}°")
+        yield from until(s, settled, 20.0, f"heading {math.degrees(s.target[ap.HEADING]) % 360:.0f}°")
     _level_off(m, s)
 
 
@@ -232,10 +204,10 @@ def _vertical(m: cfg.Climb | cfg.Descent, s: Situation) -> Iterator[None]:
     s.target[ap.VERTICAL_MODE] = ap.HOLD_CLIMB
     s.target[ap.CLIMB] = rate()
     if m.duration_s is not None:
-        for _ in _for(s, m.duration_s):
+        for _ in during(s, m.duration_s):
             s.target[ap.CLIMB] = rate()
             yield
-        s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + _height_lead(s, s.of(ap.CLIMB_RATE))
+        s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + height_lead(s, s.of(ap.CLIMB_RATE))
         return
     goal = float(m.to_alt_m or 0.0)
     if up * (goal - s.of(ap.HEIGHT)) < -5.0:
@@ -243,14 +215,14 @@ def _vertical(m: cfg.Climb | cfg.Descent, s: Situation) -> Iterator[None]:
 
     def near() -> bool:
         s.target[ap.CLIMB] = rate()
-        return up * (goal - s.of(ap.HEIGHT)) <= abs(_height_lead(s, rate()))
+        return up * (goal - s.of(ap.HEIGHT)) <= abs(height_lead(s, rate()))
 
     expected = abs(goal - s.of(ap.HEIGHT)) / abs(rate()) + 5.0 / s.aircraft.autopilot.altitude
-    yield from _until(s, near, expected, f"a height of {goal:.0f} m")
+    yield from until(s, near, expected, f"a height of {goal:.0f} m")
     s.target[ap.ALTITUDE] = goal
     s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
-    level = lambda: abs(goal - s.of(ap.HEIGHT)) < 1.0 + 0.1 * abs(_height_lead(s, rate()))  # noqa: E731
-    yield from _until(s, level, expected, f"a height of {goal:.0f} m")
+    level = lambda: abs(goal - s.of(ap.HEIGHT)) < 1.0 + 0.1 * abs(height_lead(s, rate()))  # noqa: E731
+    yield from until(s, level, expected, f"a height of {goal:.0f} m")
 
 
 def _loiter(m: cfg.Loiter, s: Situation) -> Iterator[None]:
@@ -272,19 +244,19 @@ def _loiter(m: cfg.Loiter, s: Situation) -> Iterator[None]:
         wanted = place + side * (math.pi / 2.0 + math.atan(2.0 * (distance - m.radius_m) / m.radius_m))
         feed = side * speed * speed / (G0 * max(distance, 0.7 * m.radius_m))
         correction = s.aircraft.autopilot.heading * wrap(wanted - s.course) * speed / G0
-        _bank(s, min(bank_limit, max(-bank_limit, math.atan(feed + correction))))
+        bank_at(s, min(bank_limit, max(-bank_limit, math.atan(feed + correction))))
 
     def turned() -> bool:
         circle()
         return swept >= 2.0 * math.pi * (m.turns or 0.0)
 
     if m.duration_s is not None:
-        for _ in _for(s, m.duration_s):
+        for _ in during(s, m.duration_s):
             circle()
             yield
     else:
         seconds = 2.0 * math.pi * m.radius_m * (m.turns or 0.0) / max(s.of(ap.AIRSPEED), 1.0)
-        yield from _until(s, turned, seconds, f"{m.turns:g} turns of the loiter")
+        yield from until(s, turned, seconds, f"{m.turns:g} turns of the loiter")
     s.target[ap.HEADING] = wrap(s.of(ap.YAW) + _roll_out_lead(s))
     _level_off(m, s)
 
@@ -312,13 +284,13 @@ def _alternate(
         s.end = s.begin + m.duration_s
     leg = 0
     while count is None or leg < count:
-        _bank(s, bank if leg % 2 == 0 else -bank)
+        bank_at(s, bank if leg % 2 == 0 else -bank)
         side, swept = math.copysign(1.0, s.target[ap.BANK]), _Swept(s)
         angle = first if leg == 0 else later
         done = lambda side=side, swept=swept, angle=angle: (  # noqa: E731
             side * (swept() + _roll_out_lead(s)) >= angle or s.t >= s.end - 1e-9
         )
-        yield from _until(s, done, seconds, f"the end of leg {leg + 1}")
+        yield from until(s, done, seconds, f"the end of leg {leg + 1}")
         if s.t >= s.end - 1e-9:
             break
         leg += 1
@@ -336,12 +308,12 @@ def _change_speed(m: cfg.Accelerate | cfg.Decelerate, s: Situation) -> Iterator[
     tolerance = max(0.3, 0.01 * m.to_speed_mps)
     done = lambda: up * (m.to_speed_mps - s.of(ap.AIRSPEED)) < tolerance  # noqa: E731
     expected = abs(m.to_speed_mps - now) / float(s.target[ap.ACCELERATION])
-    yield from _until(s, done, expected, f"a speed of {m.to_speed_mps:g} m/s (it flies {now:.1f} m/s at the start)")
+    yield from until(s, done, expected, f"a speed of {m.to_speed_mps:g} m/s (it flies {now:.1f} m/s at the start)")
 
 
 def _doublet(m: cfg.Doublet, s: Situation) -> Iterator[None]:
     index = {"aileron": ap.AILERON_OFFSET, "elevator": ap.ELEVATOR_OFFSET, "rudder": ap.RUDDER_OFFSET}[m.surface]
-    for _ in _for(s, m.duration_s):
+    for _ in during(s, m.duration_s):
         since = s.t - s.begin
         side = 1.0 if since < 0.5 * m.period_s else -1.0
         s.target[index] = side * m.amplitude if since < m.period_s else 0.0
@@ -351,7 +323,7 @@ def _doublet(m: cfg.Doublet, s: Situation) -> Iterator[None]:
 
 def _waypoints(m: cfg.Waypoints, s: Situation) -> Iterator[None]:
     for number, point in enumerate(m.points, 1):
-        north, east = _local(point, s)
+        north, east = local(point, s)
         if point.alt_m is not None:
             s.target[ap.ALTITUDE] = point.alt_m
         closest = math.inf
@@ -367,13 +339,13 @@ def _waypoints(m: cfg.Waypoints, s: Situation) -> Iterator[None]:
 
         seconds = math.hypot(north - s.north, east - s.east) / max(s.of(ap.AIRSPEED), 1.0)
         try:
-            yield from _until(s, reached, seconds, f"waypoint {number}")
+            yield from until(s, reached, seconds, f"waypoint {number}")
         except FlightError as error:
             raise FlightError(f"{error}; it came within {closest:.0f} m (radius_m is {m.radius_m:g})") from None
     s.target[ap.HEADING] = s.of(ap.YAW)
 
 
-def _local(point: cfg.Waypoint, s: Situation) -> tuple[float, float]:
+def local(point: cfg.Waypoint, s: Situation) -> tuple[float, float]:
     if point.north_m is not None and point.east_m is not None:
         return point.north_m, point.east_m
     north = math.radians(point.lat_deg or 0.0) - s.origin[0]
@@ -381,7 +353,7 @@ def _local(point: cfg.Waypoint, s: Situation) -> tuple[float, float]:
     return north * s.metres[0], east * s.metres[1]
 
 
-_GENERATORS: dict[type, Callable[..., Iterator[None]]] = {
+GENERATORS: dict[type, Generator] = {
     cfg.Straight: _straight,
     cfg.Turn: _turn,
     cfg.Climb: _vertical,

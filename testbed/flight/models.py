@@ -18,7 +18,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from testbed.base.errors import InputError, shown
 from testbed.base.resources import cache_root
@@ -125,9 +125,16 @@ class Correction(Table):
     """``[[model.corrections]]``: an error of a model of the jsbsim package, put right in the copy that is loaded."""
 
     component: str = Field(min_length=1, description="Name of the flight-control component in the model's XML")
-    input: str = Field(min_length=1, description="The input as the model has it")
-    becomes: str = Field(min_length=1, description="The input as it should be")
+    input: str = Field(default="", description="The input as the model has it, or")
+    output: str = Field(default="", description="the output")
+    becomes: str = Field(min_length=1, description="The same as it should be")
     why: str = Field(min_length=1, description="What is wrong with it")
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Correction:
+        if bool(self.input) == bool(self.output):
+            raise ValueError("give exactly one of input and output")
+        return self
 
 
 @contextmanager
@@ -171,17 +178,18 @@ def _scratch() -> Iterator[str]:
 
 
 def _correct(file: Path, corrections: Sequence[Correction]) -> None:
-    """Replace the inputs of components that ``corrections`` name. Raises InputError where one is not there once."""
+    """Replace what ``corrections`` name of components. Raises InputError where one is not there once."""
     if not corrections:
         return
     root = parse(file)
     for wrong in corrections:
         parts = [e for e in root.iter() if e.get("name") == wrong.component]
-        inputs = [e for part in parts for e in part.findall("input") if (e.text or "").strip() == wrong.input]
-        if len(inputs) != 1:
+        kind, name = ("input", wrong.input) if wrong.input else ("output", wrong.output)
+        places = [e for part in parts for e in part.findall(kind) if (e.text or "").strip() == name]
+        if len(places) != 1:
             raise InputError(
-                f"{file.name} of this version of jsbsim has {len(inputs)} inputs '{wrong.input}' of '{wrong.component}', "
+                f"{file.name} of this version of jsbsim has {len(places)} {kind}s '{name}' of '{wrong.component}', "
                 f"not the one that 'model.corrections' puts right ({wrong.why})"
             )
-        inputs[0].text = wrong.becomes
+        places[0].text = wrong.becomes
     file.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))

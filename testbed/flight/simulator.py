@@ -16,6 +16,7 @@ from testbed.base.errors import InputError
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.config import FlightConfig
 from testbed.flight.models import ModelPaths, clean_copy
+from testbed.flight.undercarriage import Undercarriage
 
 FOOT = 0.3048
 KILOGRAM_PER_POUND = 0.45359237
@@ -58,7 +59,8 @@ class Simulator:
         self.dt = dt
         self._nodes = self.fdm.get_property_manager().get_node
         self._wind = config.wind
-        self.integrate(IN_THE_AIR)
+        self.undercarriage = Undercarriage(self.fdm)
+        self.integrate(ON_WHEELS if config.initial.parked else IN_THE_AIR)
         self._start(config, aircraft, seed)
         engine = aircraft.model.engine_property
         self._node(engine, "'model.engine_property'")
@@ -84,7 +86,7 @@ class Simulator:
         throttles = ["fcs/throttle-cmd-norm"] + [
             f"fcs/throttle-cmd-norm[{i}]" for i in range(1, aircraft.model.engines)
         ]
-        surfaces = ["fcs/aileron-cmd-norm", "fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm"]
+        surfaces = ["fcs/aileron-cmd-norm", "fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm", "fcs/steer-cmd-norm"]
         self.surfaces = [self._node(name).set_double_value for name in surfaces]
         self.throttles = [
             self._node(name, f"'model.engines' = {aircraft.model.engines}").set_double_value for name in throttles
@@ -124,11 +126,15 @@ class Simulator:
         fdm["ic/lat-geod-deg"] = initial.lat_deg
         fdm["ic/long-gc-deg"] = initial.lon_deg
         fdm["ic/h-sl-ft"] = initial.alt_m / FOOT
+        if initial.parked:
+            fdm["ic/terrain-elevation-ft"] = initial.alt_m / FOOT
         fdm["ic/psi-true-deg"] = initial.heading_deg % 360.0
         fdm["ic/vt-fps"] = initial.speed_mps / FOOT
-        fdm["ic/alpha-deg"] = aircraft.model.alpha_deg
-        fdm["ic/theta-deg"] = aircraft.model.alpha_deg
+        fdm["ic/alpha-deg"] = 0.0 if initial.parked else aircraft.model.alpha_deg
+        fdm["ic/theta-deg"] = 0.0 if initial.parked else aircraft.model.alpha_deg
         fdm.run_ic()
+        if initial.parked:
+            self.undercarriage.put_down()
         if config.payload_kg:
             if not aircraft.model.payload_property:
                 raise InputError(f"aircraft '{config.aircraft}' takes no payload; remove payload_kg")

@@ -9,7 +9,7 @@ with this project's Earth. All splines are made block by block, as memory is sho
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +52,14 @@ class Resampler:
     def finish(self) -> tuple[Array, Array]:
         """v_n (N,3) and q_nb (N,4) at all rows that the samples reach. Needs at least 4 samples in all."""
         self._take(len(self._knots) - 1)
-        rows = np.concatenate(self._rows)
-        return rows[:, :3], rows[:, 3:]
+        count = sum(len(part) for part in self._rows)
+        v_n, q_nb = np.empty((count, 3)), np.empty((count, 4))
+        row = 0
+        # a part is given back as soon as it is copied: a long flight is never held twice
+        for part in _taken(self._rows):
+            v_n[row : row + len(part)], q_nb[row : row + len(part)] = part[:, :3], part[:, 3:]
+            row += len(part)
+        return v_n, q_nb
 
     def _take(self, stop: int) -> None:
         """Rows up to the knot ``stop`` of the buffer; then forget all but `OVERLAP` knots before it."""
@@ -73,6 +79,13 @@ class Resampler:
         self._row += count
         drop = max(0, stop - OVERLAP)
         self._knots, self._begin = self._knots[drop:].copy(), self._begin + drop
+
+
+def _taken(parts: list[Array]) -> Iterator[Array]:
+    """The parts in their order; the list lets go of each."""
+    parts.reverse()
+    while parts:
+        yield parts.pop()
 
 
 def make_trajectory(

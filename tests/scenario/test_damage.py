@@ -23,7 +23,7 @@ from result_folder import make_result
 
 from testbed.base.errors import LONGEST_LINE, MOST_LINES, InputError
 from testbed.flight.aircraft import load_aircraft
-from testbed.flight.driver import check_script
+from testbed.flight.script import check_script
 from testbed.formats import export_log, load_recording
 from testbed.montecarlo.runner import plan
 from testbed.pipeline import flight_of_run, fly, sense
