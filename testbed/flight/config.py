@@ -27,8 +27,9 @@ class InitialFlightState(Table):
     lat_deg: float = Field(default=45.0, ge=-85, le=85)
     lon_deg: float = Field(default=10.0, ge=-180, le=180)
     alt_m: float = Field(default=1000.0, ge=0, le=30_000)
-    speed_mps: Speed
+    speed_mps: float = Field(default=0.0, ge=0, le=1000)
     heading_deg: float = Field(default=0.0, ge=-360, le=360)
+    parked: bool | None = None
 
 
 class Wind(Table):
@@ -120,14 +121,45 @@ class Descent(_Vertical):
     type: Literal["descent"]
 
 
+class Waypoint(Table):
+    """A point to overfly: north and east of the start in metres, or latitude and longitude."""
+
+    north_m: Metres | None = None
+    east_m: Metres | None = None
+    lat_deg: float | None = Field(default=None, ge=-85, le=85)
+    lon_deg: float | None = Field(default=None, ge=-180, le=180)
+    alt_m: float | None = Field(default=None, ge=0, le=30_000)
+    radius_m: float | None = Field(default=None, gt=0, le=100_000)
+    """Reached when passed within it; default that of the manoeuvre."""
+    speed_mps: Speed | None = None
+    """From here on, on the way to this point first."""
+    hold_s: Duration | None = None
+    """Multirotors: hover at the point."""
+    heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    """Multirotors: heading on the way; default along it."""
+
+    @model_validator(mode="after")
+    def _one_frame(self) -> Waypoint:
+        local = self.north_m is not None and self.east_m is not None
+        geodetic = self.lat_deg is not None and self.lon_deg is not None
+        given = sum(v is not None for v in (self.north_m, self.east_m, self.lat_deg, self.lon_deg))
+        if local == geodetic or given != 2:
+            raise ValueError("a waypoint needs either north_m and east_m or lat_deg and lon_deg")
+        return self
+
+
 class Loiter(Climbing):
-    """Circle at a radius over the ground, around the point abeam at the start."""
+    """Circle at a radius over the ground, around a centre, or around the point abeam at the start."""
 
     type: Literal["loiter"]
     radius_m: float = Field(gt=0, le=100_000)
     direction: Direction = "right"
     turns: float | None = Field(default=None, gt=0, le=1000)
     duration_s: Duration | None = None
+    centre: Waypoint | None = None
+    """The way to the circle is part of the manoeuvre; turns and duration count from its arrival there."""
+    leave_towards: Waypoint | None = None
+    """Stay on the circle beyond its end until the course points here."""
     ends: ClassVar[tuple[str, ...]] = ("turns", "duration_s")
 
 
@@ -203,35 +235,71 @@ class Doublet(Manoeuvre):
         return self
 
 
-class Waypoint(Table):
-    """A point to overfly: north and east of the start in metres, or latitude and longitude."""
-
-    north_m: Metres | None = None
-    east_m: Metres | None = None
-    lat_deg: float | None = Field(default=None, ge=-85, le=85)
-    lon_deg: float | None = Field(default=None, ge=-180, le=180)
-    alt_m: float | None = Field(default=None, ge=0, le=30_000)
-
-    @model_validator(mode="after")
-    def _one_frame(self) -> Waypoint:
-        local = self.north_m is not None and self.east_m is not None
-        geodetic = self.lat_deg is not None and self.lon_deg is not None
-        given = sum(v is not None for v in (self.north_m, self.east_m, self.lat_deg, self.lon_deg))
-        if local == geodetic or given != 2:
-            raise ValueError("a waypoint needs either north_m and east_m or lat_deg and lon_deg")
-        return self
-
-
 class Waypoints(Manoeuvre):
-    """Fly over a list of points, each reached when passed within ``radius_m``."""
+    """Fly over a list of points, each reached when passed within ``radius_m`` (default 100 m, multirotors 2 m).
+
+    With ``follow = "legs"`` an aeroplane keeps to the line between two points, also in wind, climbs along it, and begins each
+    turn so early, up to ``radius_m`` before the point, that it ends on the next line; multirotors always follow the legs.
+    """
 
     type: Literal["waypoints"]
     points: list[Waypoint] = Field(min_length=1)
-    radius_m: float = Field(default=100.0, gt=0, le=100_000)
+    radius_m: float | None = Field(default=None, gt=0, le=100_000)
+    follow: Literal["direct", "legs"] = "direct"
+
+
+class Hover(Manoeuvre):
+    """Stay at a place (multirotors), in the end at a heading if one is given."""
+
+    type: Literal["hover"]
+    duration_s: Duration
+    heading_deg: float | None = Field(default=None, ge=-360, le=360)
+
+
+class _Grounded(Manoeuvre):
+    @model_validator(mode="after")
+    def _no_speed(self) -> _Grounded:
+        if self.speed_mps is not None:
+            raise ValueError("speed_mps has no meaning here; remove it")
+        return self
+
+
+class Park(_Grounded):
+    """Stand on the ground, held fast: truth for an alignment at rest."""
+
+    type: Literal["park"]
+    duration_s: Duration
+
+
+class TakeOff(Manoeuvre):
+    """Take off straight ahead and climb to a height above the runway, at ``speed_mps`` or the aircraft's usual speed."""
+
+    type: Literal["take_off"]
+    to_height_m: float = Field(default=100.0, ge=1, le=1000)
+
+
+class Land(_Grounded):
+    """Flare, touch down and brake to a stop; comes after an approach."""
+
+    type: Literal["land"]
 
 
 AnyManoeuvre = Annotated[
-    Straight | Turn | Climb | Descent | Loiter | STurn | FigureEight | Accelerate | Decelerate | Doublet | Waypoints,
+    Straight
+    | Turn
+    | Climb
+    | Descent
+    | Loiter
+    | STurn
+    | FigureEight
+    | Accelerate
+    | Decelerate
+    | Doublet
+    | Waypoints
+    | Hover
+    | Park
+    | TakeOff
+    | Land,
     Field(discriminator="type"),
 ]
 

@@ -22,17 +22,16 @@ from testbed.physics.earth import A as EARTH_RADIUS
 
 ROLL_OUT_LAG_S = 0.4
 """How long the bank loop lags behind its ramp: heading that a turn still gains after it is told to end."""
+RADIUS_M = 100.0
+"""How near a waypoint is passed where nothing is said: 3 s of a small aircraft's flight."""
 PATIENCE = 3.0
 """A manoeuvre that takes this many times what it should, and a minute more, has failed."""
 
 
-@dataclass
-class Situation:
-    """What guidance sees and sets: the time, the measurements of the autopilot, the place, and the targets."""
+@dataclass(kw_only=True)
+class Journey:
+    """Where a flight is in time and place, whatever flies."""
 
-    aircraft: Aircraft
-    measured: memoryview[float] | NDArray[np.float64]
-    target: NDArray[np.float64]
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Latitude, longitude (rad) and height (m) where the flight starts."""
     metres: tuple[float, float] = (0.0, 0.0)
@@ -46,14 +45,23 @@ class Situation:
     v_east: float = 0.0
     end: float = field(default=0.0)
 
-    def of(self, index: int) -> float:
-        """A measurement by its kernel index."""
-        return float(self.measured[index])
-
     @property
     def course(self) -> float:
         """Direction of the velocity over ground, rad."""
         return math.atan2(self.v_east, self.v_north)
+
+
+@dataclass
+class Situation(Journey):
+    """What guidance sees and sets: the time, the measurements of the autopilot, the place, and the targets."""
+
+    aircraft: Aircraft
+    measured: memoryview[float] | NDArray[np.float64]
+    target: NDArray[np.float64]
+
+    def of(self, index: int) -> float:
+        """A measurement by its kernel index."""
+        return float(self.measured[index])
 
     @property
     def turn_rate(self) -> float:
@@ -80,14 +88,14 @@ def expected_duration(config: cfg.FlightConfig) -> float:
             total += 2.0 * math.pi * m.radius_m * (m.turns or 0.0) / speed
         elif isinstance(m, cfg.Waypoints):
             for point in m.points:
-                to = _about(point, config.initial)
+                to = about(point, config.initial)
                 total += math.dist(place, to) / speed
                 place = to
         speed = getattr(m, "to_speed_mps", None) or speed
     return total
 
 
-def _about(point: cfg.Waypoint, start: cfg.InitialFlightState) -> tuple[float, float]:
+def about(point: cfg.Waypoint, start: cfg.InitialFlightState) -> tuple[float, float]:
     """A waypoint north and east of the start (m), on a sphere."""
     if point.north_m is not None and point.east_m is not None:
         return point.north_m, point.east_m
@@ -122,14 +130,14 @@ def _hold_level(s: Situation) -> None:
     s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
 
 
-def _for(s: Situation, duration_s: float) -> Iterator[None]:
+def during(s: Journey, duration_s: float) -> Iterator[None]:
     """Wait until a duration since the planned start is over."""
     s.end = s.begin + duration_s
     while s.t < s.end - 1e-9:
         yield
 
 
-def _until(s: Situation, done: Callable[[], bool], expected_s: float, goal: str) -> Iterator[None]:
+def until(s: Journey, done: Callable[[], bool], expected_s: float, goal: str) -> Iterator[None]:
     """Wait until ``done()``; FlightError when it takes much longer than expected."""
     latest = s.t + PATIENCE * expected_s + 60.0
     while not done():
@@ -139,7 +147,7 @@ def _until(s: Situation, done: Callable[[], bool], expected_s: float, goal: str)
 
 
 def _straight(m: cfg.Straight, s: Situation) -> Iterator[None]:
-    yield from _for(s, m.duration_s)
+    yield from during(s, m.duration_s)
 
 
 def _climb_while_turning(m: cfg.Climbing, s: Situation) -> None:
@@ -192,7 +200,7 @@ def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
     bank = math.radians(m.bank_deg)
     _bank(s, bank)
     if m.duration_s is not None:
-        yield from _for(s, m.duration_s)
+        yield from during(s, m.duration_s)
         s.target[ap.HEADING] = wrap(s.of(ap.YAW) + _roll_out_lead(s))
     else:
         side, start = math.copysign(1.0, bank), s.of(ap.YAW)
@@ -202,9 +210,7 @@ def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
             change = (side * (math.radians(m.to_heading_deg or 0.0) - start)) % (2.0 * math.pi)
         swept = _Swept(s)
         near = lambda: side * (swept() + _roll_out_lead(s)) >= change  # noqa: E731
-        yield from _until(
-            s, near, _seconds_of_turn(s, change, bank), f"a heading change of {math.degrees(change):.0f}°"
-        )
+        yield from until(s, near, _seconds_of_turn(s, change, bank), f"a heading change of {math.degrees(change):.0f}°")
         s.target[ap.HEADING] = wrap(start + side * change)
         _hold_level_laterally(s, bank)
 
@@ -212,7 +218,7 @@ def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
             off = abs(wrap(s.target[ap.HEADING] - s.of(ap.YAW)))
             return off < math.radians(3) and abs(s.of(ap.ROLL)) < math.radians(8)
 
-        yield from _until(s, settled, 20.0, f"heading {math.degrees(s.target[ap.HEADING]) % 360:.0f}°")
+        yield from until(s, settled, 20.0, f"heading {math.degrees(s.target[ap.HEADING]) % 360:.0f}°")
     _level_off(m, s)
 
 
@@ -232,7 +238,7 @@ def _vertical(m: cfg.Climb | cfg.Descent, s: Situation) -> Iterator[None]:
     s.target[ap.VERTICAL_MODE] = ap.HOLD_CLIMB
     s.target[ap.CLIMB] = rate()
     if m.duration_s is not None:
-        for _ in _for(s, m.duration_s):
+        for _ in during(s, m.duration_s):
             s.target[ap.CLIMB] = rate()
             yield
         s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + _height_lead(s, s.of(ap.CLIMB_RATE))
@@ -246,11 +252,11 @@ def _vertical(m: cfg.Climb | cfg.Descent, s: Situation) -> Iterator[None]:
         return up * (goal - s.of(ap.HEIGHT)) <= abs(_height_lead(s, rate()))
 
     expected = abs(goal - s.of(ap.HEIGHT)) / abs(rate()) + 5.0 / s.aircraft.autopilot.altitude
-    yield from _until(s, near, expected, f"a height of {goal:.0f} m")
+    yield from until(s, near, expected, f"a height of {goal:.0f} m")
     s.target[ap.ALTITUDE] = goal
     s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
     level = lambda: abs(goal - s.of(ap.HEIGHT)) < 1.0 + 0.1 * abs(_height_lead(s, rate()))  # noqa: E731
-    yield from _until(s, level, expected, f"a height of {goal:.0f} m")
+    yield from until(s, level, expected, f"a height of {goal:.0f} m")
 
 
 def _loiter(m: cfg.Loiter, s: Situation) -> Iterator[None]:
@@ -279,12 +285,12 @@ def _loiter(m: cfg.Loiter, s: Situation) -> Iterator[None]:
         return swept >= 2.0 * math.pi * (m.turns or 0.0)
 
     if m.duration_s is not None:
-        for _ in _for(s, m.duration_s):
+        for _ in during(s, m.duration_s):
             circle()
             yield
     else:
         seconds = 2.0 * math.pi * m.radius_m * (m.turns or 0.0) / max(s.of(ap.AIRSPEED), 1.0)
-        yield from _until(s, turned, seconds, f"{m.turns:g} turns of the loiter")
+        yield from until(s, turned, seconds, f"{m.turns:g} turns of the loiter")
     s.target[ap.HEADING] = wrap(s.of(ap.YAW) + _roll_out_lead(s))
     _level_off(m, s)
 
@@ -318,7 +324,7 @@ def _alternate(
         done = lambda side=side, swept=swept, angle=angle: (  # noqa: E731
             side * (swept() + _roll_out_lead(s)) >= angle or s.t >= s.end - 1e-9
         )
-        yield from _until(s, done, seconds, f"the end of leg {leg + 1}")
+        yield from until(s, done, seconds, f"the end of leg {leg + 1}")
         if s.t >= s.end - 1e-9:
             break
         leg += 1
@@ -336,12 +342,12 @@ def _change_speed(m: cfg.Accelerate | cfg.Decelerate, s: Situation) -> Iterator[
     tolerance = max(0.3, 0.01 * m.to_speed_mps)
     done = lambda: up * (m.to_speed_mps - s.of(ap.AIRSPEED)) < tolerance  # noqa: E731
     expected = abs(m.to_speed_mps - now) / float(s.target[ap.ACCELERATION])
-    yield from _until(s, done, expected, f"a speed of {m.to_speed_mps:g} m/s (it flies {now:.1f} m/s at the start)")
+    yield from until(s, done, expected, f"a speed of {m.to_speed_mps:g} m/s (it flies {now:.1f} m/s at the start)")
 
 
 def _doublet(m: cfg.Doublet, s: Situation) -> Iterator[None]:
     index = {"aileron": ap.AILERON_OFFSET, "elevator": ap.ELEVATOR_OFFSET, "rudder": ap.RUDDER_OFFSET}[m.surface]
-    for _ in _for(s, m.duration_s):
+    for _ in during(s, m.duration_s):
         since = s.t - s.begin
         side = 1.0 if since < 0.5 * m.period_s else -1.0
         s.target[index] = side * m.amplitude if since < m.period_s else 0.0
@@ -351,29 +357,32 @@ def _doublet(m: cfg.Doublet, s: Situation) -> Iterator[None]:
 
 def _waypoints(m: cfg.Waypoints, s: Situation) -> Iterator[None]:
     for number, point in enumerate(m.points, 1):
-        north, east = _local(point, s)
+        north, east = local(point, s)
+        radius = point.radius_m or m.radius_m or RADIUS_M
+        if point.speed_mps is not None:
+            s.target[ap.SPEED] = point.speed_mps
         if point.alt_m is not None:
             s.target[ap.ALTITUDE] = point.alt_m
         closest = math.inf
 
-        def reached(north: float = north, east: float = east) -> bool:
+        def reached(north: float = north, east: float = east, radius: float = radius) -> bool:
             nonlocal closest
             to_north, to_east = north - s.north, east - s.east
             distance = math.hypot(to_north, to_east)
             closest = min(closest, distance)
             drift = wrap(s.course - s.of(ap.YAW))
             s.target[ap.HEADING] = wrap(math.atan2(to_east, to_north) - drift)
-            return distance <= m.radius_m
+            return distance <= radius
 
         seconds = math.hypot(north - s.north, east - s.east) / max(s.of(ap.AIRSPEED), 1.0)
         try:
-            yield from _until(s, reached, seconds, f"waypoint {number}")
+            yield from until(s, reached, seconds, f"waypoint {number}")
         except FlightError as error:
-            raise FlightError(f"{error}; it came within {closest:.0f} m (radius_m is {m.radius_m:g})") from None
+            raise FlightError(f"{error}; it came within {closest:.0f} m (radius_m is {radius:g})") from None
     s.target[ap.HEADING] = s.of(ap.YAW)
 
 
-def _local(point: cfg.Waypoint, s: Situation) -> tuple[float, float]:
+def local(point: cfg.Waypoint, s: Journey) -> tuple[float, float]:
     if point.north_m is not None and point.east_m is not None:
         return point.north_m, point.east_m
     north = math.radians(point.lat_deg or 0.0) - s.origin[0]

@@ -9,13 +9,15 @@ from testbed.base.errors import FlightError, TestbedError, tell_user
 from testbed.data.records import Phase
 from testbed.flight import manoeuvres
 from testbed.flight.aircraft import Aircraft
-from testbed.flight.config import FlightConfig, Loiter, Straight
+from testbed.flight.config import AnyManoeuvre, FlightConfig, Loiter, Straight
 from testbed.physics.earth import G0
 
 FEWEST_SAMPLES = 4
 """The spline through the velocities needs as many knots (de Boor, chapter IV, not-a-knot ends)."""
 MOST_SAMPLES = 2e7
 """A sample of the truth has 30 columns: with more, a flight needs above 5 GB of memory."""
+ABOUT_S = 90.0
+"""What a take-off, an approach or a landing takes, in the estimate of a flight's length."""
 LONG_S = 20_000.0
 """A longer flight takes above half a minute (about 1000 s of flight in 1 s), which is announced."""
 
@@ -28,11 +30,10 @@ def script_duration(config: FlightConfig) -> float | None:
     return None if None in durations else float(sum(durations))  # type: ignore[arg-type]
 
 
-def check_script(config: FlightConfig, aircraft: Aircraft) -> None:
-    """Refuse what the aircraft cannot do before it takes off: speeds, banks, loads and climbs beyond its limits."""
-    name, limits, speed = config.aircraft, aircraft.limits, config.initial.speed_mps
+def check_length(config: FlightConfig, about_s: float) -> None:
+    """Refuse a flight that is too long or too short; ``about_s`` is how long its script takes where nothing fixes it."""
     duration = script_duration(config)
-    expected = manoeuvres.expected_duration(config) if duration is None else duration
+    expected = about_s if duration is None else duration
     if expected * config.rate_hz > MOST_SAMPLES:
         raise FlightError(
             f"a flight of about {expected:.3g} s at {config.rate_hz:g} Hz has more than the {MOST_SAMPLES:.0e} samples that are kept"
@@ -43,6 +44,12 @@ def check_script(config: FlightConfig, aircraft: Aircraft) -> None:
         raise FlightError(
             f"a flight of {duration:g} s at {config.rate_hz:g} Hz is too short: it needs {FEWEST_SAMPLES} samples"
         )
+
+
+def check_script(config: FlightConfig, aircraft: Aircraft) -> None:
+    """Refuse what the aircraft cannot do before it takes off: speeds, banks, loads and climbs beyond its limits."""
+    name, limits, speed = config.aircraft, aircraft.limits, config.initial.speed_mps
+    check_length(config, manoeuvres.expected_duration(config))
     _check_speed("initial", name, aircraft, speed)
     for number, m in enumerate(config.manoeuvres, 1):
         place = f"manoeuvre {number} of {len(config.manoeuvres)} ({m.type})"
@@ -88,8 +95,14 @@ class Script:
     def _now(self) -> str:
         total = len(self.config.manoeuvres)
         if self.number > total:
-            return f"after manoeuvre {total} of {total} (straight)"
+            return f"after manoeuvre {total} of {total} ({self._rest().type})"
         return f"manoeuvre {self.number} of {total} ({self.config.manoeuvres[self.number - 1].type})"
+
+    @property
+    def manoeuvre(self) -> AnyManoeuvre:
+        """The current manoeuvre."""
+        total = len(self.config.manoeuvres)
+        return self._rest() if self.number > total else self.config.manoeuvres[max(0, self.number - 1)]
 
     def fail(self, what: str) -> None:
         """Raise FlightError with place and time."""
@@ -109,15 +122,22 @@ class Script:
             if self.number >= len(self.config.manoeuvres):
                 if not open_ended:
                     return False
-                self._begin(Straight(type="straight", duration_s=200_000.0))
+                self._begin(self._rest())
             else:
                 self._begin(self.config.manoeuvres[self.number])
 
-    def _begin(self, manoeuvre: object) -> None:
+    def _rest(self) -> AnyManoeuvre:
+        """What a flight does that is longer than its script."""
+        return Straight(type="straight", duration_s=200_000.0)
+
+    def _guide(self, manoeuvre: AnyManoeuvre) -> Iterator[None]:
+        return manoeuvres.guide(manoeuvre, self.s)
+
+    def _begin(self, manoeuvre: AnyManoeuvre) -> None:
         self.number += 1
-        self.current = manoeuvres.guide(manoeuvre, self.s)  # type: ignore[arg-type]
+        self.current = self._guide(manoeuvre)
         self.begins.append(self.s.begin)
-        self.labels.append(manoeuvre.label)  # type: ignore[attr-defined]
+        self.labels.append(manoeuvre.label)
 
     def phases(self, end: float) -> tuple[Phase, ...]:
         """One phase per manoeuvre, cut at the end of the flight."""
