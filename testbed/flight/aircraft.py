@@ -89,8 +89,17 @@ class Limits(Table):
     acceleration_mps2: Positive
 
 
-ControlRate = Literal[50.0, 100.0, 200.0, 400.0]
-"""Ticks of the autopilot per second: parts of JSBSim's step, and multiples of what air data are recorded at."""
+CONTROL_RATES = (50.0, 100.0, 200.0, 400.0)
+"""Hz: parts of JSBSim's rate of 400 Hz, and multiples of guidance (10 Hz) and of the recorded air data (25 Hz)."""
+
+
+def _control_rate(rate_hz: float) -> float:
+    if rate_hz not in CONTROL_RATES:
+        raise ValueError(f"an autopilot ticks at one of {', '.join(f'{rate:g}' for rate in CONTROL_RATES)} Hz")
+    return rate_hz
+
+
+ControlRate = Annotated[float, AfterValidator(_control_rate)]
 
 
 class Autopilot(Table):

@@ -304,6 +304,12 @@ AnyManoeuvre = Annotated[
 ]
 
 
+def manoeuvre_name(kind: type[Manoeuvre]) -> str:
+    """How a script calls a type of manoeuvre."""
+    name: str = typing.get_args(kind.model_fields["type"].annotation)[0]
+    return name
+
+
 def manoeuvre_keys() -> dict[str, tuple[str, str]]:
     """Of each type of manoeuvre what it does, and its keys in words."""
     found = {}
@@ -314,8 +320,7 @@ def manoeuvre_keys() -> dict[str, tuple[str, str]]:
         parts = [", ".join(needed)] if needed else []
         parts += [f"exactly one of {', '.join(kind.ends)}"] if len(kind.ends) > 1 else []
         parts += [f"and if wanted {', '.join(free)}"] if free else []
-        name = typing.get_args(kind.model_fields["type"].annotation)[0]
-        found[name] = (kind.__doc__ or "").split("\n")[0], "; ".join(parts)
+        found[manoeuvre_name(kind)] = (kind.__doc__ or "").split("\n")[0], "; ".join(parts)
     return found
 
 

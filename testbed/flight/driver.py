@@ -26,8 +26,8 @@ from testbed.flight import autopilot_kernels as ap
 from testbed.flight import manoeuvres
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.autopilot import gain_array
-from testbed.flight.config import FlightConfig
-from testbed.flight.script import FEWEST_SAMPLES, MOST_SAMPLES, Script, check_script, script_duration
+from testbed.flight.config import AnyManoeuvre, FlightConfig, Straight
+from testbed.flight.script import FEWEST_SAMPLES, MOST_SAMPLES, Guide, Script, check_script, script_duration
 from testbed.flight.simulator import FOOT, KELVIN_PER_RANKINE, STATE, Simulator
 from testbed.flight.truth import Resampler
 from testbed.physics.earth import metres_per_radian
@@ -103,18 +103,21 @@ def steps_per_sample(rate_hz: float, steps_per_control: int) -> int:
 class Pilot:
     """Autopilot, guidance and recorder around one simulator."""
 
+    columns: tuple[tuple[str, float], ...] = AIR
+
     def __init__(self, config: FlightConfig, aircraft: Aircraft, simulator: Simulator) -> None:
         self.aircraft, self.simulator = aircraft, simulator
         self.rates = Rates(aircraft.autopilot.rate_hz)
         self.period = self.rates.period
-        self.columns = AIR
         self.desk = np.zeros(ap.DESK)
         self.measured, self.target, self.memory, self.command = ap.desk_views(self.desk)
         self.memory[ap.SPEED_REFERENCE] = config.initial.speed_mps
         self.memory[ap.PITCH_INTEGRAL] = aircraft.autopilot.elevator_trim
         # a memory view gives plain numbers, in a third of the time that an element of a numpy array takes
         self.wanted, self.held = memoryview(self.target), memoryview(self.memory)
-        self.situation = manoeuvres.Situation(aircraft, memoryview(self.measured), self.target)
+        situation = manoeuvres.Situation(aircraft, memoryview(self.measured), self.target)
+        self.situation: manoeuvres.Journey = situation
+        self.guide: Guide = lambda manoeuvre: manoeuvres.guide(manoeuvre, situation)
         self.air = array("d")
         self.read, self.act, self.record = _make_tick(self)
         self.steps = 0
@@ -171,7 +174,7 @@ class Pilot:
         rates = self.rates
         stride = steps_per_sample(config.rate_hz, rates.steps)
         truth = Resampler(STEP_HZ / stride, config.rate_hz)
-        script = self._script(config)
+        script = Script(config, s, self.guide, self.rest(config))
         v_n, v_e, v_d, roll, pitch, yaw = self.simulator.state
         # a row is packed before it is stored: an array that is extended by a tuple takes twice as long
         pack, state = struct.Struct(f"{len(STATE)}d").pack, array("d")
@@ -220,8 +223,9 @@ class Pilot:
             tuple(name for name, _ in columns),
         )
 
-    def _script(self, config: FlightConfig) -> Script:
-        return Script(config, self.situation)
+    def rest(self, config: FlightConfig) -> AnyManoeuvre:
+        """What a flight does that is longer than its script."""
+        return Straight(type="straight", duration_s=200_000.0)
 
     def _run_tick(self) -> None:
         self.read()

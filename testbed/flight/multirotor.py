@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import struct
 from array import array
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +57,7 @@ def check_multirotor(config: cfg.FlightConfig, aircraft: Multirotor) -> None:
     for number, m in enumerate(config.manoeuvres, 1):
         place = f"manoeuvre {number} of {len(config.manoeuvres)} ({m.type})"
         if type(m) not in GENERATORS:
-            can = ", ".join(sorted(kind.model_fields["type"].annotation.__args__[0] for kind in GENERATORS))
+            can = ", ".join(sorted(cfg.manoeuvre_name(kind) for kind in GENERATORS))
             raise FlightError(f"{place}: '{name}' is a multirotor and cannot do this; it can do {can}")
         if grounded and not isinstance(m, cfg.Park | cfg.TakeOff):
             raise FlightError(f"{place}: '{name}' stands on the ground; take_off comes first")
@@ -109,22 +108,8 @@ def _expected_duration(config: cfg.FlightConfig, aircraft: Multirotor) -> float:
     return total
 
 
-class _RotorScript(Script):
-    s: RotorSituation
-
-    def _guide(self, manoeuvre: cfg.AnyManoeuvre) -> Iterator[None]:
-        return guide(manoeuvre, self.s)
-
-    def _rest(self) -> cfg.AnyManoeuvre:
-        if isinstance(self.config.manoeuvres[-1], cfg.Park | cfg.Land):
-            return cfg.Park(type="park", duration_s=200_000.0)
-        return cfg.Hover(type="hover", duration_s=200_000.0)
-
-
 class MultirotorPilot(Pilot):
     """Cascade, guidance and recorder around one simulator."""
-
-    situation: RotorSituation
 
     def __init__(self, config: cfg.FlightConfig, aircraft: Multirotor, simulator: Simulator) -> None:
         self.rotor, self.simulator = aircraft, simulator
@@ -140,12 +125,14 @@ class MultirotorPilot(Pilot):
         )
         self.desk = np.zeros(mk.DESK)
         self.measured, self.target, self.memory, self.command = mk.desk_views(self.desk)
-        self.situation = RotorSituation(aircraft, memoryview(self.measured), self.target, self.memory)
+        situation = RotorSituation(aircraft, memoryview(self.measured), self.target, self.memory)
+        self.situation = self.hovering = situation
+        self.guide = lambda manoeuvre: guide(manoeuvre, situation)
         self.gains = rotor_gains(aircraft, self.period, simulator.air_density())
         self.air = array("d")
         self.steps = 0
         self.parked_height = 0.0
-        self.held = self.rolling = False
+        self.fast = self.rolling = False
         self._make_tick()
 
     def settle(self, config: cfg.FlightConfig) -> None:
@@ -167,7 +154,7 @@ class MultirotorPilot(Pilot):
         under = self.simulator.undercarriage
         under.settle(STEP_HZ)
         self.parked_height, self.rolling = under.parked_height, True
-        self.situation.on_ground = self.situation.held_down = True
+        self.hovering.on_ground = self.hovering.held_down = True
         self._look()
         self.simulator.set_wind(1.0)
 
@@ -188,12 +175,15 @@ class MultirotorPilot(Pilot):
                     f"{math.hypot(m[mk.V_NORTH], m[mk.V_EAST]):.1f} m/s and sinks {m[mk.V_DOWN]:.1f} m/s"
                 )
 
-    def _script(self, config: cfg.FlightConfig) -> Script:
-        return _RotorScript(config, self.situation)
+    def rest(self, config: cfg.FlightConfig) -> cfg.AnyManoeuvre:
+        """What a flight does that is longer than its script."""
+        if isinstance(config.manoeuvres[-1], cfg.Park | cfg.Land):
+            return cfg.Park(type="park", duration_s=200_000.0)
+        return cfg.Hover(type="hover", duration_s=200_000.0)
 
     def _look(self) -> None:
         """Refresh what guidance sees, and let go or hold fast what it wants."""
-        s, memory = self.situation, self.memory
+        s, memory = self.hovering, self.memory
         s.north, s.east = float(memory[mk.PLACE_NORTH]), float(memory[mk.PLACE_EAST])
         s.v_north, s.v_east = float(self.measured[mk.V_NORTH]), float(self.measured[mk.V_EAST])
         s.over_ground = self.simulator.place[2]() * FOOT - self.parked_height
@@ -203,7 +193,7 @@ class MultirotorPilot(Pilot):
 
     def _watch(self, script: Script) -> None:
         """FlightError when the multirotor has left what it can fly."""
-        m, s = self.measured, self.situation
+        m, s = self.measured, self.hovering
         if not math.isfinite(sum(m.tolist())):
             script.fail("diverged: the state of the simulation is not finite")
         if max(abs(m[mk.ROLL]), abs(m[mk.PITCH])) > TILT_LOST:
@@ -218,7 +208,7 @@ class MultirotorPilot(Pilot):
 
     def _make_tick(self) -> None:
         """Read, act and record as closures over local names: attribute look-ups would double their cost."""
-        sim, situation = self.simulator, self.situation
+        sim, situation = self.simulator, self.hovering
         v_north, v_east, v_down, roll, pitch, yaw = sim.state
         p, q, r, _, _, _, height, _ = sim.motion
         engine, wind_n, wind_e, wind_d, temperature = sim.air[3:]
@@ -243,9 +233,9 @@ class MultirotorPilot(Pilot):
             if near is not self.rolling:
                 self.rolling = near
                 sim.integrate(ON_WHEELS if near else IN_THE_AIR)
-            if situation.held_down is not self.held:
-                self.held = situation.held_down
-                sim.undercarriage.hold(self.held)
+            if situation.held_down is not self.fast:
+                self.fast = situation.held_down
+                sim.undercarriage.hold(self.fast)
 
         def record() -> None:
             values = commands.tolist()

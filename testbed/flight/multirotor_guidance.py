@@ -279,7 +279,7 @@ def _land(_: cfg.Land, s: RotorSituation) -> Iterator[None]:
     s.held_down = s.on_ground = True
 
 
-GENERATORS: dict[type, Callable[..., Iterator[None]]] = {
+GENERATORS: dict[type[cfg.Manoeuvre], Callable[..., Iterator[None]]] = {
     cfg.Hover: _hover,
     cfg.Waypoints: _waypoints,
     cfg.Climb: _vertical,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from testbed.base.errors import FlightError, TestbedError, tell_user
 from testbed.data.records import Phase
 from testbed.flight import manoeuvres
 from testbed.flight.aircraft import Aircraft
-from testbed.flight.config import AnyManoeuvre, FlightConfig, Loiter, Straight
+from testbed.flight.config import AnyManoeuvre, FlightConfig, Loiter
 from testbed.physics.earth import G0
 
 FEWEST_SAMPLES = 4
@@ -20,6 +20,10 @@ ABOUT_S = 90.0
 """What a take-off, an approach or a landing takes, in the estimate of a flight's length."""
 LONG_S = 20_000.0
 """A longer flight takes above half a minute (about 1000 s of flight in 1 s), which is announced."""
+
+
+Guide = Callable[[AnyManoeuvre], Iterator[None]]
+"""Starts a manoeuvre, which then yields at each tick of guidance."""
 
 
 def script_duration(config: FlightConfig) -> float | None:
@@ -84,8 +88,16 @@ def _check_speed(place: str, name: str, aircraft: Aircraft, speed: float) -> Non
 class Script:
     """Goes through the manoeuvres, keeps their phases, and names the current one in errors."""
 
-    def __init__(self, config: FlightConfig, situation: manoeuvres.Situation) -> None:
-        self.config, self.s = config, situation
+    def __init__(
+        self,
+        config: FlightConfig,
+        situation: manoeuvres.Journey,
+        guide: Guide,
+        rest: AnyManoeuvre,
+    ) -> None:
+        self.config, self.s, self.guide = config, situation, guide
+        self.rest = rest
+        """What a flight does that is longer than its script."""
         self.number = 0
         self.current: Iterator[None] | None = None
         self.begins: list[float] = []
@@ -95,14 +107,14 @@ class Script:
     def _now(self) -> str:
         total = len(self.config.manoeuvres)
         if self.number > total:
-            return f"after manoeuvre {total} of {total} ({self._rest().type})"
+            return f"after manoeuvre {total} of {total} ({self.rest.type})"
         return f"manoeuvre {self.number} of {total} ({self.config.manoeuvres[self.number - 1].type})"
 
     @property
     def manoeuvre(self) -> AnyManoeuvre:
         """The current manoeuvre."""
         total = len(self.config.manoeuvres)
-        return self._rest() if self.number > total else self.config.manoeuvres[max(0, self.number - 1)]
+        return self.rest if self.number > total else self.config.manoeuvres[max(0, self.number - 1)]
 
     def fail(self, what: str) -> None:
         """Raise FlightError with place and time."""
@@ -122,20 +134,13 @@ class Script:
             if self.number >= len(self.config.manoeuvres):
                 if not open_ended:
                     return False
-                self._begin(self._rest())
+                self._begin(self.rest)
             else:
                 self._begin(self.config.manoeuvres[self.number])
 
-    def _rest(self) -> AnyManoeuvre:
-        """What a flight does that is longer than its script."""
-        return Straight(type="straight", duration_s=200_000.0)
-
-    def _guide(self, manoeuvre: AnyManoeuvre) -> Iterator[None]:
-        return manoeuvres.guide(manoeuvre, self.s)
-
     def _begin(self, manoeuvre: AnyManoeuvre) -> None:
         self.number += 1
-        self.current = self._guide(manoeuvre)
+        self.current = self.guide(manoeuvre)
         self.begins.append(self.s.begin)
         self.labels.append(manoeuvre.label)
 
