@@ -7,7 +7,9 @@ WGS-84 ellipsoid in metres; positive bank and `right` turn to the right, positiv
 from __future__ import annotations
 
 import typing
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -336,12 +338,64 @@ class FlightConfig(Table):
     initial: InitialFlightState
     wind: Wind = Wind()
     manoeuvres: list[AnyManoeuvre] = Field(min_length=1)
+    plan: str | None = Field(
+        default=None,
+        exclude=True,
+        description="A mission of QGroundControl (.plan, from the scenario's folder on) in place of initial and manoeuvres",
+    )
+    plan_skip: list[Annotated[int, Field(ge=1)]] = Field(
+        default=[], exclude=True, description="Numbers of items of the plan that are left out, from 1 on"
+    )
+    plan_undulation_m: float = Field(
+        default=0.0,
+        ge=-200,
+        le=200,
+        exclude=True,
+        description="Height of mean sea level, which a plan's heights count from, above the ellipsoid, m",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_plan(cls, data: Any, info: ValidationInfo) -> Any:
+        """The keys that a plan stands for; `testbed.flight.mission` says how."""
+        if not isinstance(data, Mapping) or not isinstance(data.get("plan"), str):
+            return data
+        return _planned(dict(data), (info.context or {}).get("folder"))
 
     @field_validator("aircraft")
     @classmethod
     def _from_folder(cls, value: str, info: ValidationInfo) -> str:
-        folder = (info.context or {}).get("folder")
-        return str((folder / value).resolve()) if "/" in value and folder is not None else value
+        return _resolved(value, (info.context or {}).get("folder"))
+
+
+def _resolved(aircraft: str, folder: Path | None) -> str:
+    return str((folder / aircraft).resolve()) if "/" in aircraft and folder is not None else aircraft
+
+
+def _planned(data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+    """``[flight]`` with initial state and manoeuvres from its plan; keys of ``[flight.initial]`` stand above the plan's."""
+    if "manoeuvres" in data:
+        raise ValueError("plan and manoeuvres exclude each other; remove one of the two")
+    aircraft, own, skip = data.get("aircraft"), data.get("initial", {}), data.get("plan_skip", [])
+    numbers = {
+        "undulation_m": data.get("plan_undulation_m", 0.0),
+        "duration_s": data.get("duration_s"),
+        "speed_mps": own.get("speed_mps") if isinstance(own, Mapping) else None,
+    }
+    plain = isinstance(aircraft, str) and isinstance(own, Mapping) and isinstance(skip, list)
+    if not plain or not all(value is None or type(value) in (int, float) for value in numbers.values()):
+        return data | {
+            "manoeuvres": [{"type": "straight", "duration_s": 1.0}]
+        }  # the wrong key is told by its own check
+    # this reads kernels of the Earth, which are not needed to read a scenario without a plan
+    from testbed.flight.aircraft import load_aircraft
+    from testbed.flight.mission import Choices, mission_keys
+
+    path = Path(data["plan"]) if folder is None else folder / data["plan"]
+    flown, _ = load_aircraft(_resolved(str(aircraft), folder))
+    left_out = frozenset(number for number in skip if type(number) is int)
+    keys = mission_keys(path, flown, Choices(left_out, **numbers))
+    return data | keys | {"initial": keys["initial"] | dict(own)}
 
 
 def _not_level(bank_deg: float) -> float:

@@ -27,7 +27,7 @@ from testbed.flight import manoeuvres
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.autopilot import gain_array
 from testbed.flight.config import AnyManoeuvre, FlightConfig, Straight
-from testbed.flight.script import FEWEST_SAMPLES, MOST_SAMPLES, Guide, Script, check_script, script_duration
+from testbed.flight.script import FEWEST_SAMPLES, GENERATORS, MOST_SAMPLES, Guide, Script, check_script, script_duration
 from testbed.flight.simulator import FOOT, KELVIN_PER_RANKINE, STATE, Simulator
 from testbed.flight.truth import Resampler
 from testbed.physics.earth import metres_per_radian
@@ -117,7 +117,7 @@ class Pilot:
         self.wanted, self.held = memoryview(self.target), memoryview(self.memory)
         situation = manoeuvres.Situation(aircraft, memoryview(self.measured), self.target)
         self.situation: manoeuvres.Journey = situation
-        self.guide: Guide = lambda manoeuvre: manoeuvres.guide(manoeuvre, situation)
+        self.guide: Guide = lambda manoeuvre: manoeuvres.guide(manoeuvre, situation, GENERATORS[type(manoeuvre)])
         self.air = array("d")
         self.read, self.act, self.record = _make_tick(self)
         self.steps = 0

@@ -22,8 +22,7 @@ from testbed.physics.earth import A as EARTH_RADIUS
 
 ROLL_OUT_LAG_S = 0.4
 """How long the bank loop lags behind its ramp: heading that a turn still gains after it is told to end."""
-RADIUS_M = 100.0
-"""How near a waypoint is passed where nothing is said: 3 s of a small aircraft's flight."""
+Generator = Callable[..., Iterator[None]]
 PATIENCE = 3.0
 """A manoeuvre that takes this many times what it should, and a minute more, has failed."""
 
@@ -109,7 +108,7 @@ def wrap(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def guide(manoeuvre: cfg.Manoeuvre, s: Situation) -> Iterator[None]:
+def guide(manoeuvre: cfg.Manoeuvre, s: Situation, generator: Generator) -> Iterator[None]:
     """Run one manoeuvre: yields once per guidance tick, returns when it is done, raises FlightError when it cannot."""
     limits, target = s.aircraft.limits, s.target
     target[ap.BANK_LIMIT] = math.radians(0.6 * limits.bank_max_deg)
@@ -119,7 +118,7 @@ def guide(manoeuvre: cfg.Manoeuvre, s: Situation) -> Iterator[None]:
         target[ap.SPEED] = manoeuvre.speed_mps
     _hold_level(s)
     s.end = math.nan
-    yield from _GENERATORS[type(manoeuvre)](manoeuvre, s)
+    yield from generator(manoeuvre, s)
     if math.isnan(s.end):
         s.end = s.t
     s.begin = s.end
@@ -150,29 +149,29 @@ def _straight(m: cfg.Straight, s: Situation) -> Iterator[None]:
     yield from during(s, m.duration_s)
 
 
-def _climb_while_turning(m: cfg.Climbing, s: Situation) -> None:
+def climb_while_turning(m: cfg.Climbing, s: Situation) -> None:
     if m.climb_rate_mps is not None:
         s.target[ap.VERTICAL_MODE] = ap.HOLD_CLIMB
         s.target[ap.CLIMB] = m.climb_rate_mps
 
 
-def _level_off(m: cfg.Climbing, s: Situation) -> None:
+def level_off(m: cfg.Climbing, s: Situation) -> None:
     if m.climb_rate_mps is not None:
-        s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + _height_lead(s, m.climb_rate_mps)
+        s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + height_lead(s, m.climb_rate_mps)
     s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
 
 
-def _height_lead(s: Situation, climb_rate: float) -> float:
+def height_lead(s: Situation, climb_rate: float) -> float:
     """Height still gained when the climb rate fades with the altitude loop's time constant."""
     return climb_rate / s.aircraft.autopilot.altitude
 
 
-def _bank(s: Situation, bank: float) -> None:
+def bank_at(s: Situation, bank: float) -> None:
     s.target[ap.LATERAL_MODE] = ap.HOLD_BANK
     s.target[ap.BANK] = bank
 
 
-def _roll_out_lead(s: Situation) -> float:
+def roll_out_lead(s: Situation) -> float:
     """Heading (rad) that the turn still gains while the wings come level."""
     seconds = 0.5 * abs(s.of(ap.ROLL)) / math.radians(s.aircraft.autopilot.roll_rate_limit_dps) + ROLL_OUT_LAG_S
     return s.turn_rate * seconds
@@ -196,12 +195,12 @@ def _seconds_of_turn(s: Situation, angle: float, bank: float) -> float:
 
 
 def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
-    _climb_while_turning(m, s)
+    climb_while_turning(m, s)
     bank = math.radians(m.bank_deg)
-    _bank(s, bank)
+    bank_at(s, bank)
     if m.duration_s is not None:
         yield from during(s, m.duration_s)
-        s.target[ap.HEADING] = wrap(s.of(ap.YAW) + _roll_out_lead(s))
+        s.target[ap.HEADING] = wrap(s.of(ap.YAW) + roll_out_lead(s))
     else:
         side, start = math.copysign(1.0, bank), s.of(ap.YAW)
         if m.heading_change_deg is not None:
@@ -209,7 +208,7 @@ def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
         else:
             change = (side * (math.radians(m.to_heading_deg or 0.0) - start)) % (2.0 * math.pi)
         swept = _Swept(s)
-        near = lambda: side * (swept() + _roll_out_lead(s)) >= change  # noqa: E731
+        near = lambda: side * (swept() + roll_out_lead(s)) >= change  # noqa: E731
         yield from until(s, near, _seconds_of_turn(s, change, bank), f"a heading change of {math.degrees(change):.0f}°")
         s.target[ap.HEADING] = wrap(start + side * change)
         _hold_level_laterally(s, bank)
@@ -219,7 +218,7 @@ def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
             return off < math.radians(3) and abs(s.of(ap.ROLL)) < math.radians(8)
 
         yield from until(s, settled, 20.0, f"heading {math.degrees(s.target[ap.HEADING]) % 360:.0f}°")
-    _level_off(m, s)
+    level_off(m, s)
 
 
 def _hold_level_laterally(s: Situation, bank: float) -> None:
@@ -241,7 +240,7 @@ def _vertical(m: cfg.Climb | cfg.Descent, s: Situation) -> Iterator[None]:
         for _ in during(s, m.duration_s):
             s.target[ap.CLIMB] = rate()
             yield
-        s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + _height_lead(s, s.of(ap.CLIMB_RATE))
+        s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + height_lead(s, s.of(ap.CLIMB_RATE))
         return
     goal = float(m.to_alt_m or 0.0)
     if up * (goal - s.of(ap.HEIGHT)) < -5.0:
@@ -249,50 +248,14 @@ def _vertical(m: cfg.Climb | cfg.Descent, s: Situation) -> Iterator[None]:
 
     def near() -> bool:
         s.target[ap.CLIMB] = rate()
-        return up * (goal - s.of(ap.HEIGHT)) <= abs(_height_lead(s, rate()))
+        return up * (goal - s.of(ap.HEIGHT)) <= abs(height_lead(s, rate()))
 
     expected = abs(goal - s.of(ap.HEIGHT)) / abs(rate()) + 5.0 / s.aircraft.autopilot.altitude
     yield from until(s, near, expected, f"a height of {goal:.0f} m")
     s.target[ap.ALTITUDE] = goal
     s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
-    level = lambda: abs(goal - s.of(ap.HEIGHT)) < 1.0 + 0.1 * abs(_height_lead(s, rate()))  # noqa: E731
+    level = lambda: abs(goal - s.of(ap.HEIGHT)) < 1.0 + 0.1 * abs(height_lead(s, rate()))  # noqa: E731
     yield from until(s, level, expected, f"a height of {goal:.0f} m")
-
-
-def _loiter(m: cfg.Loiter, s: Situation) -> Iterator[None]:
-    _climb_while_turning(m, s)
-    side = 1.0 if m.direction == "right" else -1.0
-    across = s.course + side * math.pi / 2.0
-    centre = (s.north + m.radius_m * math.cos(across), s.east + m.radius_m * math.sin(across))
-    bank_limit = math.radians(s.aircraft.limits.bank_max_deg)
-    swept, last = 0.0, math.nan
-
-    def circle() -> None:
-        nonlocal swept, last
-        north, east = s.north - centre[0], s.east - centre[1]
-        distance, place = math.hypot(north, east), math.atan2(east, north)
-        if not math.isnan(last):
-            swept += side * wrap(place - last)
-        last = place
-        speed = math.hypot(s.v_north, s.v_east)
-        wanted = place + side * (math.pi / 2.0 + math.atan(2.0 * (distance - m.radius_m) / m.radius_m))
-        feed = side * speed * speed / (G0 * max(distance, 0.7 * m.radius_m))
-        correction = s.aircraft.autopilot.heading * wrap(wanted - s.course) * speed / G0
-        _bank(s, min(bank_limit, max(-bank_limit, math.atan(feed + correction))))
-
-    def turned() -> bool:
-        circle()
-        return swept >= 2.0 * math.pi * (m.turns or 0.0)
-
-    if m.duration_s is not None:
-        for _ in during(s, m.duration_s):
-            circle()
-            yield
-    else:
-        seconds = 2.0 * math.pi * m.radius_m * (m.turns or 0.0) / max(s.of(ap.AIRSPEED), 1.0)
-        yield from until(s, turned, seconds, f"{m.turns:g} turns of the loiter")
-    s.target[ap.HEADING] = wrap(s.of(ap.YAW) + _roll_out_lead(s))
-    _level_off(m, s)
 
 
 def _s_turn(m: cfg.STurn, s: Situation) -> Iterator[None]:
@@ -309,7 +272,7 @@ def _alternate(
     m: cfg.STurn | cfg.FigureEight, s: Situation, first: float, later: float, count: int | None
 ) -> Iterator[None]:
     """Bank to one side until the heading has swept an angle, then to the other, a number of times or for a duration."""
-    _climb_while_turning(m, s)
+    climb_while_turning(m, s)
     bank = math.radians(m.bank_deg)
     seconds = _seconds_of_turn(s, later, bank) + 4.0 * abs(bank) / math.radians(
         s.aircraft.autopilot.roll_rate_limit_dps
@@ -318,17 +281,17 @@ def _alternate(
         s.end = s.begin + m.duration_s
     leg = 0
     while count is None or leg < count:
-        _bank(s, bank if leg % 2 == 0 else -bank)
+        bank_at(s, bank if leg % 2 == 0 else -bank)
         side, swept = math.copysign(1.0, s.target[ap.BANK]), _Swept(s)
         angle = first if leg == 0 else later
         done = lambda side=side, swept=swept, angle=angle: (  # noqa: E731
-            side * (swept() + _roll_out_lead(s)) >= angle or s.t >= s.end - 1e-9
+            side * (swept() + roll_out_lead(s)) >= angle or s.t >= s.end - 1e-9
         )
         yield from until(s, done, seconds, f"the end of leg {leg + 1}")
         if s.t >= s.end - 1e-9:
             break
         leg += 1
-    _level_off(m, s)
+    level_off(m, s)
 
 
 def _change_speed(m: cfg.Accelerate | cfg.Decelerate, s: Situation) -> Iterator[None]:
@@ -355,33 +318,6 @@ def _doublet(m: cfg.Doublet, s: Situation) -> Iterator[None]:
     s.target[index] = 0.0
 
 
-def _waypoints(m: cfg.Waypoints, s: Situation) -> Iterator[None]:
-    for number, point in enumerate(m.points, 1):
-        north, east = local(point, s)
-        radius = point.radius_m or m.radius_m or RADIUS_M
-        if point.speed_mps is not None:
-            s.target[ap.SPEED] = point.speed_mps
-        if point.alt_m is not None:
-            s.target[ap.ALTITUDE] = point.alt_m
-        closest = math.inf
-
-        def reached(north: float = north, east: float = east, radius: float = radius) -> bool:
-            nonlocal closest
-            to_north, to_east = north - s.north, east - s.east
-            distance = math.hypot(to_north, to_east)
-            closest = min(closest, distance)
-            drift = wrap(s.course - s.of(ap.YAW))
-            s.target[ap.HEADING] = wrap(math.atan2(to_east, to_north) - drift)
-            return distance <= radius
-
-        seconds = math.hypot(north - s.north, east - s.east) / max(s.of(ap.AIRSPEED), 1.0)
-        try:
-            yield from until(s, reached, seconds, f"waypoint {number}")
-        except FlightError as error:
-            raise FlightError(f"{error}; it came within {closest:.0f} m (radius_m is {radius:g})") from None
-    s.target[ap.HEADING] = s.of(ap.YAW)
-
-
 def local(point: cfg.Waypoint, s: Journey) -> tuple[float, float]:
     if point.north_m is not None and point.east_m is not None:
         return point.north_m, point.east_m
@@ -390,16 +326,14 @@ def local(point: cfg.Waypoint, s: Journey) -> tuple[float, float]:
     return north * s.metres[0], east * s.metres[1]
 
 
-_GENERATORS: dict[type, Callable[..., Iterator[None]]] = {
+GENERATORS: dict[type, Generator] = {
     cfg.Straight: _straight,
     cfg.Turn: _turn,
     cfg.Climb: _vertical,
     cfg.Descent: _vertical,
-    cfg.Loiter: _loiter,
     cfg.STurn: _s_turn,
     cfg.FigureEight: _figure_eight,
     cfg.Accelerate: _change_speed,
     cfg.Decelerate: _change_speed,
     cfg.Doublet: _doublet,
-    cfg.Waypoints: _waypoints,
 }

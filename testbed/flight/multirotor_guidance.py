@@ -218,6 +218,8 @@ def _loiter(m: cfg.Loiter, s: RotorSituation) -> Iterator[None]:
         yield from until(s, turned, lap * (m.turns or 0.0), f"{m.turns:g} turns of the loiter")
     if m.leave_towards is not None:
         north, east = local(m.leave_towards, s)
+        if math.dist((north, east), centre) <= m.radius_m:
+            raise FlightError("leave_towards lies on or inside the circle, which has no tangent to it")
 
         def looks() -> bool:
             turn()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 from testbed.base.errors import FlightError, TestbedError, tell_user
 from testbed.data.records import Phase
-from testbed.flight import manoeuvres
+from testbed.flight import manoeuvres, paths
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.config import AnyManoeuvre, FlightConfig, Loiter
 from testbed.physics.earth import G0
@@ -22,6 +22,8 @@ LONG_S = 20_000.0
 """A longer flight takes above half a minute (about 1000 s of flight in 1 s), which is announced."""
 
 
+GENERATORS = manoeuvres.GENERATORS | paths.GENERATORS
+"""What an aeroplane can do."""
 Guide = Callable[[AnyManoeuvre], Iterator[None]]
 """Starts a manoeuvre, which then yields at each tick of guidance."""
 
@@ -30,7 +32,7 @@ def script_duration(config: FlightConfig) -> float | None:
     """Length of the flight (s) where the script fixes it, else None."""
     if config.duration_s is not None:
         return config.duration_s
-    durations = [getattr(m, "duration_s", None) for m in config.manoeuvres]
+    durations = [None if getattr(m, "centre", None) else getattr(m, "duration_s", None) for m in config.manoeuvres]
     return None if None in durations else float(sum(durations))  # type: ignore[arg-type]
 
 
@@ -57,6 +59,13 @@ def check_script(config: FlightConfig, aircraft: Aircraft) -> None:
     _check_speed("initial", name, aircraft, speed)
     for number, m in enumerate(config.manoeuvres, 1):
         place = f"manoeuvre {number} of {len(config.manoeuvres)} ({m.type})"
+        if type(m) not in GENERATORS:
+            raise FlightError(f"{place}: '{name}' is an aeroplane and cannot do this")
+        for point in getattr(m, "points", []):
+            if point.hold_s is not None or point.heading_deg is not None:
+                raise FlightError(f"{place}: hold_s and heading_deg of a point are for multirotors, not for '{name}'")
+            if point.speed_mps is not None:
+                _check_speed(place, name, aircraft, point.speed_mps)
         wanted = getattr(m, "to_speed_mps", None) or m.speed_mps
         if wanted is not None:
             _check_speed(place, name, aircraft, wanted)
