@@ -35,8 +35,8 @@ SHARPEST = 2.6
 """Turns beyond 150 degrees are not cut any further: the lead, a tangent of the half angle, would grow without end."""
 SMALL_TURN = math.radians(10.0)
 """Onto a leg: so little is left to the line's own guidance, whose bank stays below its limit at any usual speed."""
-ARRIVED = 0.1
-"""Of a circle's radius: as near to it the turns begin to count."""
+ARRIVED, ALONG = 0.1, math.radians(15.0)
+"""Of a circle's radius, and off its direction: as near to both the turns begin to count."""
 HEIGHT_S = 5.0
 """A waypoint is passed at its height as near as the aircraft climbs in so many seconds."""
 
@@ -105,7 +105,9 @@ class _Orbit:
         """Whether it flies on the circle, the right way round."""
         self.follow()
         way_round = self.last + self.side * math.pi / 2.0
-        return abs(self.distance() - self.radius) < ARRIVED * self.radius and math.cos(way_round - self.s.course) > 0.5
+        return (
+            abs(self.distance() - self.radius) < ARRIVED * self.radius and abs(wrap(way_round - self.s.course)) < ALONG
+        )
 
     def turned(self, turns: float) -> bool:
         """Whether so many turns are flown."""
