@@ -5,11 +5,13 @@ Plain data as a scenario holds it under ``[flight]``.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
 from testbed.base.schema import validate
-from testbed.flight import FlightConfig
+from testbed.data.records import Trajectory
+from testbed.flight import FlightConfig, fly_flight
 
 
 def flight(aircraft: str, speed: float, *manoeuvres: dict[str, Any], alt: float = 1000.0, **keys: Any) -> FlightConfig:
@@ -53,6 +55,32 @@ def transport(bank: float = 45.0) -> FlightConfig:
     )
     wind = {"turbulence": "light", "seed": 2}
     return flight("transport", 150.0, *script, alt=2500.0, duration_s=150.0, wind=wind)
+
+
+def circuit(aircraft: str, **keys: Any) -> FlightConfig:
+    """A whole flight from and to a runway of heading 70: parked, line-up, take-off, right-hand circuit, approach, landing."""
+    speed, height, leg = (120.0, 400.0, 7000.0) if aircraft == "transport" else (45.0, 150.0, 1500.0)
+    along, right = ((math.cos(math.radians(a)), math.sin(math.radians(a))) for a in (70.0, 160.0))
+    corners = ((2.0, 0.0), (2.0, 1.0))
+    points = [{"north_m": leg * (x * along[0] + y * right[0]), "east_m": leg * (x * along[1] + y * right[1])} for x, y in corners]  # fmt: skip
+    script = [
+        {"type": "park", "duration_s": 70.0},
+        {"type": "line_up", "to_heading_deg": 70.0},
+        {"type": "take_off"},
+        {"type": "climb", "climb_rate_mps": 0.055 * speed, "to_alt_m": 500.0 + height, "speed_mps": speed},
+        {"type": "waypoints", "radius_m": 0.25 * leg, "points": points},
+        {"type": "approach"},
+        {"type": "land"},
+        {"type": "park", "duration_s": 20.0},
+    ]
+    initial = {"parked": True, "lat_deg": 47.0, "lon_deg": 11.0, "alt_m": 500.0, "heading_deg": 20.0}
+    return validate(FlightConfig, {"aircraft": aircraft, "initial": initial, "manoeuvres": script} | keys, "flight")
+
+
+@functools.cache
+def whole_flight(aircraft: str) -> Trajectory:
+    """`circuit` flown, at 200 Hz."""
+    return fly_flight(circuit(aircraft, rate_hz=200.0), 1, use_cache=False)
 
 
 def coordinated_rate(bank_deg: float, speed: float) -> float:

@@ -132,6 +132,42 @@ class Autopilot(Table):
     """Pull (0 to 1) at nominal speed, where the integral starts."""
 
 
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class Ground(Table):
+    """``[ground]``: how an aircraft takes off and lands; one without it stays in the air."""
+
+    taxi_mps: Positive
+    rotate_mps: Positive
+    """Airspeed at which the nose comes up."""
+    rotate_pitch_deg: Positive
+    climb_mps: Positive
+    """Airspeed of the first climb."""
+    climb_rate_mps: Positive
+    final_mps: Positive
+    """Airspeed of the approach."""
+    flare_m: Positive
+    """Height of the wheels at which the descent begins to fade, with the time constant ``flare_s``, to ``sink_mps``."""
+    flare_s: Positive
+    sink_mps: Positive
+    flaps_take_off: Share
+    flaps_approach: Share
+    flaps_landing: Share
+    retracts: bool
+    """The gear goes up after take-off."""
+    brake: Share
+    """Of the brakes in the landing roll."""
+    pitch_angle: Positive
+    """Pitch rate per pitch error, 1/s."""
+    pitch_rate_limit_dps: Positive
+    steer_heading: Positive
+    """Nose wheel and rudder (shares of their range) per rad of heading error, and per rad/s of yaw rate."""
+    steer_rate: Positive
+    steer_full_mps: Positive
+    """Above this speed the nose wheel is turned less, by the ratio."""
+
+
 class Aircraft(Table):
     """``aircraft.toml`` of an aeroplane."""
 
@@ -141,6 +177,7 @@ class Aircraft(Table):
     model: Model
     limits: Limits
     autopilot: Autopilot
+    ground: Ground | None = None
 
 
 class MultirotorLimits(Table):

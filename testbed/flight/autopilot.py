@@ -42,4 +42,10 @@ def gain_array(aircraft: Aircraft, period: float) -> NDArray[np.float64]:
     out[kernels.LOAD_FACTOR_MIN] = limit.load_factor_min
     out[kernels.PERIOD] = period
     out[kernels.ALPHA_MAX] = np.radians(limit.alpha_max_deg)
+    if (ground := aircraft.ground) is not None:
+        out[kernels.PITCH_ANGLE_GAIN] = ground.pitch_angle
+        out[kernels.PITCH_RATE_LIMIT] = np.radians(ground.pitch_rate_limit_dps)
+        out[kernels.STEER_HEADING] = ground.steer_heading
+        out[kernels.STEER_RATE] = ground.steer_rate
+        out[kernels.STEER_FULL] = ground.steer_full_mps
     return out

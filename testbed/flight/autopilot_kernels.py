@@ -1,7 +1,8 @@
 """The autopilot: successive loops from bank, path and speed targets to aileron, elevator, rudder and throttle.
 
 Structure after Stevens and Lewis, *Aircraft Control and Simulation*, chapter 4, and Beard and McLain, chapter 6: rate
-loops inside, coordinated-turn kinematics as feed-forward, load factor and incidence as limits. SI units and radians.
+loops inside, coordinated-turn kinematics as feed-forward, load factor and incidence as limits. On the ground and close above
+it a pitch angle is held, the throttle is set, and nose wheel and rudder keep the heading. SI units and radians.
 
 `step` is one tick. Its arrays are indexed by the names below; nothing is allocated. They are views of one array, the
 desk, because handing arrays to a compiled function costs more than the arithmetic.
@@ -21,18 +22,20 @@ MEASUREMENTS = 11
 
 # targets
 LATERAL_MODE, BANK, HEADING, VERTICAL_MODE, ALTITUDE, CLIMB, SPEED, BANK_LIMIT, ACCELERATION = range(9)
-AILERON_OFFSET, ELEVATOR_OFFSET, RUDDER_OFFSET = 9, 10, 11
-TARGETS = 12
+AILERON_OFFSET, ELEVATOR_OFFSET, RUDDER_OFFSET, PITCH_ANGLE, THROTTLE_MODE, THROTTLE_SET, STEERING = range(9, 16)
+TARGETS = 16
 HOLD_BANK, HOLD_HEADING = 0.0, 1.0
-HOLD_ALTITUDE, HOLD_CLIMB = 0.0, 1.0
+HOLD_ALTITUDE, HOLD_CLIMB, HOLD_PITCH, HANDS_OFF = 0.0, 1.0, 2.0, 3.0
+HOLD_SPEED, BY_HAND = 0.0, 1.0
+"""Of the throttle. `STEERING` is 0 in the air, 1 where the wheels steer."""
 
 # memory
 ROLL_INTEGRAL, PITCH_INTEGRAL, THROTTLE_INTEGRAL, CLIMB_INTEGRAL, SPEED_REFERENCE, CLIMB_REFERENCE = range(6)
 MEMORY = 6
 
 # commands
-AILERON, ELEVATOR, RUDDER, THROTTLE = range(4)
-COMMANDS = 4
+AILERON, ELEVATOR, RUDDER, THROTTLE, STEER = range(5)
+COMMANDS = 5
 DESK = MEASUREMENTS + TARGETS + MEMORY + COMMANDS
 
 # gains and limits of the aircraft
@@ -63,8 +66,13 @@ DESK = MEASUREMENTS + TARGETS + MEMORY + COMMANDS
     LOAD_FACTOR_MIN,
     ALPHA_MAX,
     PERIOD,
-) = range(26)
-GAINS = 26
+    PITCH_ANGLE_GAIN,
+    PITCH_RATE_LIMIT,
+    STEER_HEADING,
+    STEER_RATE,
+    STEER_FULL,
+) = range(31)
+GAINS = 31
 
 
 @njit(cache=True)
@@ -92,6 +100,13 @@ def step(desk, gain):
     command[ELEVATOR] = _pitch(measured, target, gain, memory, schedule, v, dt)
     command[RUDDER] = _yaw(measured, target, gain, schedule, v)
     command[THROTTLE] = _throttle(measured, target, gain, memory, v, dt)
+    command[STEER] = 0.0
+    if target[STEERING] != 0.0:
+        memory[ROLL_INTEGRAL] = 0.0
+        turn = gain[STEER_HEADING] * wrap(target[HEADING] - measured[YAW]) - gain[STEER_RATE] * measured[R]
+        command[RUDDER] = -clip(turn, -1.0, 1.0)
+        # the same angle of the nose wheel turns faster, and the rudder bites
+        command[STEER] = clip(turn * min(1.0, gain[STEER_FULL] / v), -1.0, 1.0)
 
 
 @njit(cache=True)
@@ -113,6 +128,8 @@ def _roll(m, target, gain, memory, schedule, v, dt):
 
 @njit(cache=True)
 def _pitch(m, target, gain, memory, schedule, v, dt):
+    if target[VERTICAL_MODE] >= HOLD_PITCH:
+        return _pitch_angle(m, target, gain, memory, schedule, dt)
     wanted = target[CLIMB]
     if target[VERTICAL_MODE] == HOLD_ALTITUDE:
         wanted = clip(gain[ALTITUDE_GAIN] * (target[ALTITUDE] - m[HEIGHT]), -gain[CLIMB_LIMIT], gain[CLIMB_LIMIT])
@@ -132,8 +149,24 @@ def _pitch(m, target, gain, memory, schedule, v, dt):
         memory[CLIMB_INTEGRAL] = clip(memory[CLIMB_INTEGRAL] + step, -4.0, 4.0)
     rate_command = G0 / v * (load_clipped - up_share)
     rate_command = min(rate_command, 3.0 * (gain[ALPHA_MAX] - m[ALPHA]))
-    error = rate_command - m[Q]
     steady = gain[LOAD_FEEDFORWARD] * (load_clipped - 1.0)
+    return _elevator(rate_command - m[Q], steady, target, gain, memory, schedule, dt)
+
+
+@njit(cache=True)
+def _pitch_angle(m, target, gain, memory, schedule, dt):
+    # what the climb's loops remember follows, so that they take over where this one leaves
+    memory[CLIMB_REFERENCE], memory[CLIMB_INTEGRAL] = m[CLIMB_RATE], 0.0
+    if target[VERTICAL_MODE] == HANDS_OFF:
+        memory[PITCH_INTEGRAL] = 0.0
+        return -clip(target[ELEVATOR_OFFSET], -1.0, 1.0)
+    limit = gain[PITCH_RATE_LIMIT]
+    rate_command = clip(gain[PITCH_ANGLE_GAIN] * (target[PITCH_ANGLE] - m[PITCH]), -limit, limit)
+    return _elevator(rate_command - m[Q], 0.0, target, gain, memory, schedule, dt)
+
+
+@njit(cache=True)
+def _elevator(error, steady, target, gain, memory, schedule, dt):
     pull = schedule * (steady + gain[PITCH_RATE] * error + memory[PITCH_INTEGRAL]) + target[ELEVATOR_OFFSET]
     if abs(pull) < 1.0 or pull * error < 0.0:
         memory[PITCH_INTEGRAL] = clip(memory[PITCH_INTEGRAL] + gain[PITCH_RATE_INTEGRAL] * error * dt, -1.5, 1.5)
@@ -152,6 +185,10 @@ def _yaw(m, target, gain, schedule, v):
 
 @njit(cache=True)
 def _throttle(m, target, gain, memory, v, dt):
+    if target[THROTTLE_MODE] == BY_HAND:
+        memory[SPEED_REFERENCE] = v
+        memory[THROTTLE_INTEGRAL] = clip(target[THROTTLE_SET] - gain[THROTTLE_TRIM], -1.0, 1.0)
+        return target[THROTTLE_SET]
     ramp = target[ACCELERATION] * dt
     change = clip(target[SPEED] - memory[SPEED_REFERENCE], -ramp, ramp)
     memory[SPEED_REFERENCE] += change

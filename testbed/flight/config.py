@@ -24,7 +24,7 @@ Direction = Literal["left", "right"]
 
 
 class InitialFlightState(Table):
-    """``[flight.initial]``: where the flight starts, level and trimmed."""
+    """``[flight.initial]``: where the flight starts, level and trimmed in the air, or parked on a runway at ``alt_m``."""
 
     lat_deg: float = Field(default=45.0, ge=-85, le=85)
     lon_deg: float = Field(default=10.0, ge=-180, le=180)
@@ -32,6 +32,12 @@ class InitialFlightState(Table):
     speed_mps: float = Field(default=0.0, ge=0, le=1000)
     heading_deg: float = Field(default=0.0, ge=-360, le=360)
     parked: bool | None = None
+
+    @model_validator(mode="after")
+    def _moves_or_stands(self) -> InitialFlightState:
+        if self.parked and self.speed_mps:
+            raise ValueError("a parked aircraft has no speed_mps; remove one of the two")
+        return self
 
 
 class Wind(Table):
@@ -273,18 +279,49 @@ class Park(_Grounded):
     duration_s: Duration
 
 
+class LineUp(_Grounded):
+    """Roll on to a heading, that of the runway, and stop."""
+
+    type: Literal["line_up"]
+    to_heading_deg: float = Field(ge=-360, le=360)
+
+
 class TakeOff(Manoeuvre):
-    """Take off straight ahead and climb to a height above the runway, at ``speed_mps`` or the aircraft's usual speed."""
+    """Take off straight ahead, or upwards, to a height above the ground, at ``speed_mps`` or the aircraft's usual speed."""
 
     type: Literal["take_off"]
     to_height_m: float = Field(default=100.0, ge=1, le=1000)
+    """Aeroplanes climb to 30 m at least."""
+
+
+class Approach(Manoeuvre):
+    """Fly to the extended centreline and down the glide path of a runway: that of the take-off, or another one."""
+
+    type: Literal["approach"]
+    glide_deg: float = Field(default=3.0, ge=2, le=6)
+    heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    point: Waypoint | None = None
+    """Where the glide path meets the ground; default 300 m beyond the place where the take-off began."""
+
+    @model_validator(mode="after")
+    def _whole_runway(self) -> Approach:
+        if (self.heading_deg is None) != (self.point is None):
+            raise ValueError("another runway than that of the take-off needs both heading_deg and point")
+        if self.point is not None and self.point.alt_m is not None:
+            raise ValueError(
+                "point.alt_m has no meaning here: the ground is level, at the height where the flight began"
+            )
+        return self
 
 
 class Land(_Grounded):
-    """Flare, touch down and brake to a stop; comes after an approach."""
+    """Flare, touch down and brake to a stop, after an approach; a multirotor lands where it hovers."""
 
     type: Literal["land"]
 
+
+ON_THE_GROUND = (Park, LineUp, TakeOff, Land)
+"""Manoeuvres that are, at least in part, on the ground."""
 
 AnyManoeuvre = Annotated[
     Straight
@@ -300,7 +337,9 @@ AnyManoeuvre = Annotated[
     | Waypoints
     | Hover
     | Park
+    | LineUp
     | TakeOff
+    | Approach
     | Land,
     Field(discriminator="type"),
 ]

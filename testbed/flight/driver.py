@@ -26,10 +26,11 @@ from testbed.flight import autopilot_kernels as ap
 from testbed.flight import manoeuvres
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.autopilot import gain_array
-from testbed.flight.config import AnyManoeuvre, FlightConfig, Straight
+from testbed.flight.config import AnyManoeuvre, FlightConfig, Land, Park, Straight
 from testbed.flight.script import FEWEST_SAMPLES, GENERATORS, MOST_SAMPLES, Guide, Script, check_script, script_duration
-from testbed.flight.simulator import FOOT, KELVIN_PER_RANKINE, STATE, Simulator
+from testbed.flight.simulator import FOOT, IN_THE_AIR, KELVIN_PER_RANKINE, ON_WHEELS, STATE, Simulator
 from testbed.flight.truth import Resampler
+from testbed.flight.undercarriage import Undercarriage
 from testbed.physics.earth import metres_per_radian
 
 STEP_HZ = 400.0
@@ -40,6 +41,9 @@ FLUSH = 1 << 14
 GUIDANCE_HZ, AIR_HZ = 10.0, 25.0
 GROUND_M = 1.0
 """Below this height over ground the aircraft has hit it."""
+WHEELS_M = 2.0
+"""Wheels this low: integration as they need it, from the tick of guidance (0.1 s) before they touch at the latest."""
+TIPPED = math.radians(25.0)
 STALL_TICKS, LAG_TICKS = 5, 200
 """Guidance ticks (0.1 s) beyond the stall, or far from a target, after which the flight has failed."""
 SETTLE_MIN_S, SETTLE_MAX_S, WIND_RAMP_S, GUST_S = 8.0, 90.0, 6.0, 5.0
@@ -88,7 +92,10 @@ def fly_script(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int
     """Fly the whole script. Raises FlightError that names manoeuvre and time."""
     check_script(config, aircraft)
     pilot = Pilot(config, aircraft, Simulator(config, aircraft, folder, 1.0 / STEP_HZ, seed))
-    pilot.settle(config)
+    if config.initial.parked:
+        pilot.park(config)
+    else:
+        pilot.settle(config)
     return pilot.fly(config)
 
 
@@ -117,7 +124,11 @@ class Pilot:
         self.wanted, self.held = memoryview(self.target), memoryview(self.memory)
         situation = manoeuvres.Situation(aircraft, memoryview(self.measured), self.target)
         self.situation: manoeuvres.Journey = situation
+        self.flying = situation
         self.guide: Guide = lambda manoeuvre: manoeuvres.guide(manoeuvre, situation, GENERATORS[type(manoeuvre)])
+        self.wheels = simulator.undercarriage if config.initial.parked else None
+        situation.undercarriage = self.wheels
+        self.on_wheels = config.initial.parked
         self.air = array("d")
         self.read, self.act, self.record = _make_tick(self)
         self.steps = 0
@@ -161,6 +172,22 @@ class Pilot:
             for _ in range(round(GUST_S / period)):
                 self._run_tick()
         del self.air[:]
+
+    def park(self, config: FlightConfig) -> None:
+        """Let the aircraft come to rest on its wheels and hold it there; then the wind and its gusts begin."""
+        wheels = self.simulator.undercarriage
+        try:
+            self.steps += wheels.settle(STEP_HZ)
+        except FlightError as error:
+            raise FlightError(f"'{config.aircraft}': {error}") from None
+        wheels.hold(True)
+        self.target[ap.VERTICAL_MODE], self.target[ap.THROTTLE_MODE] = ap.HANDS_OFF, ap.BY_HAND
+        self.simulator.set_wind(1.0)
+        if config.wind.turbulence != "none":
+            self.simulator.turbulence_on()
+        # what moved until it was held is not part of the flight
+        for _ in range(self.rates.steps):
+            self.simulator.run()
 
     def fly(self, config: FlightConfig) -> Recording:
         """Fly the manoeuvres and record."""
@@ -225,6 +252,8 @@ class Pilot:
 
     def rest(self, config: FlightConfig) -> AnyManoeuvre:
         """What a flight does that is longer than its script."""
+        if isinstance(config.manoeuvres[-1], Park | Land):
+            return Park(type="park", duration_s=200_000.0)
         return Straight(type="straight", duration_s=200_000.0)
 
     def _run_tick(self) -> None:
@@ -240,7 +269,7 @@ class Pilot:
         The place is that of the truth, which begins where the scenario says: the integral of the velocity by the trapezoid
         rule, which is exact to (0.1 s)²/12 of the change of acceleration, centimetres.
         """
-        s, sim = self.situation, self.simulator
+        s, sim = self.flying, self.simulator
         v_north, v_east = sim.state[0]() * FOOT, sim.state[1]() * FOOT
         if s.t > 0.0:
             half = 0.5 * self.rates.guidance * self.period
@@ -249,6 +278,12 @@ class Pilot:
             cosine = math.cos(s.origin[0]) / math.cos(s.origin[0] + s.north / s.metres[0])
             s.east += half * (s.v_east + v_east) * cosine
         s.v_north, s.v_east = v_north, v_east
+        if self.wheels is not None:
+            s.throttle = float(self.command[ap.THROTTLE])
+            near = self.wheels.height() < WHEELS_M
+            if near != self.on_wheels:
+                self.on_wheels = near
+                sim.integrate(ON_WHEELS if near else IN_THE_AIR)
 
     def _watch(self, script: Script) -> None:
         """FlightError when the aircraft has left what it can fly."""
@@ -258,6 +293,9 @@ class Pilot:
             script.fail(f"flies on, beyond the {MOST_SAMPLES:.0e} samples that are kept")
         if not math.isfinite(sum(m)):
             script.fail("diverged: the state of the simulation is not finite")
+        if self.flying.low and self.wheels is not None:
+            self._watch_wheels(script, self.wheels)
+            return
         if self.height_over_ground() < GROUND_M / FOOT:
             script.fail(f"hit the ground at {airspeed:.0f} m/s")
         if abs(roll) > self.roll_departed:
@@ -269,6 +307,15 @@ class Pilot:
         self.lagging = self.lagging + 1 if what else 0
         if self.lagging > LAG_TICKS:
             script.fail(f"could not hold {what}")
+
+    def _watch_wheels(self, script: Script, wheels: Undercarriage) -> None:
+        """FlightError when the aircraft tips over, or comes down on something else than its wheels."""
+        roll, pitch = self.measured[ap.ROLL], self.measured[ap.PITCH]
+        if max(abs(roll), abs(pitch - wheels.parked_pitch)) > TIPPED:
+            script.fail(f"tips over: pitch {math.degrees(pitch):.0f}°, bank {math.degrees(roll):.0f}°")
+        if wheels.strikes():
+            speed = math.hypot(self.situation.v_north, self.situation.v_east)
+            script.fail(f"touches the ground with more than its wheels, at {speed:.0f} m/s: is the wind from behind?")
 
     def _behind(self, m: list[float]) -> str:
         """Which vertical or speed target is far away, or nothing."""
@@ -300,7 +347,7 @@ def _make_tick(pilot: Pilot) -> tuple[Callable[[], None], Callable[[], None], Ca
     p, q, r, airspeed, alpha, beta, height, climb = sim.motion
     roll, pitch, yaw = sim.state[3:]
     left_aileron, elevator, rudder, engine, wind_n, wind_e, wind_d, temperature = sim.air
-    set_aileron, set_elevator, set_rudder = sim.surfaces
+    set_aileron, set_elevator, set_rudder, set_nose_wheel = sim.surfaces
     throttles = sim.throttles
     desk: Any = pilot.desk
     command = memoryview(pilot.command)
@@ -316,12 +363,13 @@ def _make_tick(pilot: Pilot) -> tuple[Callable[[], None], Callable[[], None], Ca
 
     def act() -> None:
         step(desk, gains)
-        one, two, three, four = command.tolist()
+        one, two, three, four, five = command.tolist()
         set_aileron(one)
         set_elevator(two)
         set_rudder(three)
         for set_throttle in throttles:
             set_throttle(four)
+        set_nose_wheel(five)
 
     def record() -> None:
         store(

@@ -17,8 +17,8 @@ from testbed.base.errors import FlightError
 from testbed.flight import autopilot_kernels as ap
 from testbed.flight import config as cfg
 from testbed.flight.aircraft import Aircraft
+from testbed.flight.undercarriage import Undercarriage
 from testbed.physics.earth import G0
-from testbed.physics.earth import A as EARTH_RADIUS
 
 ROLL_OUT_LAG_S = 0.4
 """How long the bank loop lags behind its ramp: heading that a turn still gains after it is told to end."""
@@ -57,6 +57,13 @@ class Situation(Journey):
     aircraft: Aircraft
     measured: memoryview[float] | NDArray[np.float64]
     target: NDArray[np.float64]
+    undercarriage: Undercarriage | None = None
+    runway: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """North and east (m) of the place where the last take-off began, and its heading (rad)."""
+    throttle: float = 0.0
+    """Its last command."""
+    low: bool = False
+    """On the ground, or so close above it that what is a fault elsewhere is none."""
 
     def of(self, index: int) -> float:
         """A measurement by its kernel index."""
@@ -66,41 +73,6 @@ class Situation(Journey):
     def turn_rate(self) -> float:
         """Rate of turn (rad/s) that the bank brings."""
         return G0 * math.tan(self.of(ap.ROLL)) / max(self.of(ap.AIRSPEED), 1.0)
-
-
-def expected_duration(config: cfg.FlightConfig) -> float:
-    """About how long the script takes (s), from durations, and from speed, bank and distance where it ends by those."""
-    total, speed = 0.0, config.initial.speed_mps
-    place = (0.0, 0.0)
-    for m in config.manoeuvres:
-        speed = m.speed_mps or speed
-        turn = speed / (G0 * math.tan(math.radians(abs(getattr(m, "bank_deg", 45.0)))))
-        if (duration := getattr(m, "duration_s", None)) is not None:
-            total += duration
-        elif isinstance(m, cfg.Turn):
-            total += turn * math.radians(m.heading_change_deg or 360.0)
-        elif isinstance(m, cfg.STurn):
-            total += turn * math.radians(m.heading_change_deg) * (m.legs or 0)
-        elif isinstance(m, cfg.FigureEight):
-            total += turn * 2.0 * math.pi * (m.circles or 0)
-        elif isinstance(m, cfg.Loiter):
-            total += 2.0 * math.pi * m.radius_m * (m.turns or 0.0) / speed
-        elif isinstance(m, cfg.Waypoints):
-            for point in m.points:
-                to = about(point, config.initial)
-                total += math.dist(place, to) / speed
-                place = to
-        speed = getattr(m, "to_speed_mps", None) or speed
-    return total
-
-
-def about(point: cfg.Waypoint, start: cfg.InitialFlightState) -> tuple[float, float]:
-    """A waypoint north and east of the start (m), on a sphere."""
-    if point.north_m is not None and point.east_m is not None:
-        return point.north_m, point.east_m
-    north = math.radians((point.lat_deg or 0.0) - start.lat_deg)
-    east = wrap(math.radians((point.lon_deg or 0.0) - start.lon_deg)) * math.cos(math.radians(start.lat_deg))
-    return north * EARTH_RADIUS, east * EARTH_RADIUS
 
 
 def wrap(angle: float) -> float:
@@ -113,7 +85,8 @@ def guide(manoeuvre: cfg.Manoeuvre, s: Situation, generator: Generator) -> Itera
     limits, target = s.aircraft.limits, s.target
     target[ap.BANK_LIMIT] = math.radians(0.6 * limits.bank_max_deg)
     target[ap.ACCELERATION] = limits.acceleration_mps2
-    target[[ap.AILERON_OFFSET, ap.ELEVATOR_OFFSET, ap.RUDDER_OFFSET]] = 0.0
+    target[[ap.AILERON_OFFSET, ap.ELEVATOR_OFFSET, ap.RUDDER_OFFSET, ap.THROTTLE_MODE, ap.STEERING]] = 0.0
+    s.low = isinstance(manoeuvre, cfg.ON_THE_GROUND)
     if manoeuvre.speed_mps is not None:
         target[ap.SPEED] = manoeuvre.speed_mps
     _hold_level(s)

@@ -19,9 +19,8 @@ from testbed.flight import config as cfg
 from testbed.flight import multirotor_kernels as mk
 from testbed.flight.aircraft import Multirotor
 from testbed.flight.driver import GUST_S, SETTLE_MAX_S, STEP_HZ, WIND_RAMP_S, Pilot, Rates, Recording
-from testbed.flight.manoeuvres import about
 from testbed.flight.multirotor_guidance import GENERATORS, TOUCHED_M, RotorSituation, guide
-from testbed.flight.script import ABOUT_S, MOST_SAMPLES, Script, check_length
+from testbed.flight.script import ABOUT_S, MOST_SAMPLES, Script, about, check_length
 from testbed.flight.simulator import FOOT, IN_THE_AIR, KELVIN_PER_RANKINE, ON_WHEELS, Simulator
 
 QUIET_MPS = 0.02
@@ -152,7 +151,7 @@ class MultirotorPilot(Pilot):
 
     def _stand(self) -> None:
         under = self.simulator.undercarriage
-        under.settle(STEP_HZ)
+        self.steps += under.settle(STEP_HZ)
         self.parked_height, self.rolling = under.parked_height, True
         self.hovering.on_ground = self.hovering.held_down = True
         self._look()

@@ -91,7 +91,7 @@ class Simulator:
         throttles = ["fcs/throttle-cmd-norm"] + [
             f"fcs/throttle-cmd-norm[{i}]" for i in range(1, aircraft.model.engines)
         ]
-        surfaces = ["fcs/aileron-cmd-norm", "fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm"]
+        surfaces = ["fcs/aileron-cmd-norm", "fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm", "fcs/steer-cmd-norm"]
         self.surfaces = [self._node(name).set_double_value for name in surfaces]
         self.throttles = [
             self._node(name, f"'model.engines' = {aircraft.model.engines}").set_double_value for name in throttles

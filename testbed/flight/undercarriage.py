@@ -13,8 +13,8 @@ from testbed.base.errors import FlightError
 
 FOOT = 0.3048
 INCHES_PER_FOOT = 12.0
-STANDING_MPS, STANDING_RADPS = 1e-6, 1e-6
-"""What is slower stands: a thousandth of what a gyro of tactical grade resolves, and no step of velocity when it is held."""
+STANDING = 1e-6
+"""Speed (m/s) and rates (rad/s): what is slower stands, without a step of velocity when it is held."""
 SETTLE_S = 90.0
 """The gear of the shipped models has settled after 20 s."""
 MOST_UNITS = 64
@@ -49,15 +49,19 @@ class Undercarriage:
         fdm["ic/h-agl-ft"] = (fdm["inertia/cg-z-in"] - lowest) / INCHES_PER_FOOT
         fdm.run_ic()
 
-    def settle(self, steps_per_second: float) -> None:
-        """Wait until the aircraft stands on its wheels, with brakes set and engines idling; FlightError when it never does."""
+    def settle(self, steps_per_second: float) -> int:
+        """Wait until the aircraft stands on its wheels, with brakes set and engines idling; the steps that it took.
+
+        Raises FlightError when it never does.
+        """
         fdm = self._fdm
         self.gear(True)
         self.brake(1.0)
-        quiet = 0
+        quiet, steps, each = 0, 0, round(steps_per_second)
         for _ in range(round(SETTLE_S)):
-            for _ in range(round(steps_per_second)):
+            for _ in range(each):
                 fdm.run()
+            steps += each
             quiet = quiet + 1 if self.stands() else 0
             if quiet > 1:
                 break
@@ -65,11 +69,12 @@ class Undercarriage:
             raise FlightError(f"it does not come to rest on its wheels within {SETTLE_S:g} s")
         self._wheels = [k for k, touches in enumerate(self._contacts) if touches()]
         self.parked_height, self.parked_pitch = self._height() * FOOT, fdm["attitude/theta-rad"]
+        return steps
 
-    def stands(self) -> bool:
-        """Whether nothing moves any more."""
+    def stands(self, limit: float = STANDING) -> bool:
+        """Whether nothing moves any more: speed (m/s) and rates (rad/s) are below ``limit``."""
         speed = FOOT * math.hypot(*(read() for read in self._velocity))
-        return speed < STANDING_MPS and max(abs(read()) for read in self._rates) < STANDING_RADPS
+        return speed < limit and max(abs(read()) for read in self._rates) < limit
 
     def hold(self, fast: bool) -> None:
         """Fix the aircraft to the ground, or let it go."""

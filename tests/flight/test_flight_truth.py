@@ -6,9 +6,9 @@ import functools
 
 import numpy as np
 import pytest
+from closure import strapdown_errors
 from flights import flight, hard, straight, transport, turn
 
-from estimators.core.strapdown import integrate
 from testbed.flight import driver, fly_flight, truth
 from testbed.flight.aircraft import load_aircraft
 from testbed.flight.simulator import Simulator
@@ -23,27 +23,17 @@ def hard_flight():
     return fly_flight(hard(), use_cache=False)
 
 
-def closure(trajectory):
-    """Largest north, east and down error (m) of the strapdown over perfect increments from the true initial state."""
-    lla, v, q = (np.empty((len(trajectory.t) - 1, n)) for n in (3, 3, 4))
-    start = (trajectory.lat[0], trajectory.lon[0], trajectory.h[0], trajectory.v_n[0], trajectory.q_nb[0])
-    imu = (trajectory.t[0], trajectory.t[1:], trajectory.w_ib_b[1:], trajectory.f_b[1:])
-    integrate(*imu, *start, np.zeros(3), np.zeros(3), lla, v, q)
-    ned = earth.position_difference(*lla.T, trajectory.lat[1:], trajectory.lon[1:], trajectory.h[1:])
-    return np.abs(ned).max(axis=1)
-
-
 def test_perfect_imu_closes_after_300_s_of_hard_manoeuvres():
     """The bench's accuracy promise, on the hardest flight that it ships: 0.1 m and 0.5 m after 300 s at 100 Hz."""
     trajectory = hard_flight()
     assert trajectory.extra["load_factor"].max() > 4.0
-    north, east, down = closure(trajectory)
+    north, east, down = np.abs(strapdown_errors(trajectory)).max(axis=1)
     assert np.hypot(north, east) < 0.1 and down < 0.5
 
 
 @pytest.mark.parametrize("bank", [15.0, 30.0, 45.0])
 def test_perfect_imu_closes_after_the_transport_flight(bank):
-    assert closure(fly_flight(transport(bank), use_cache=False)).max() < 1.0
+    assert np.abs(strapdown_errors(fly_flight(transport(bank), use_cache=False))).max() < 1.0
 
 
 def test_spline_slopes_equal_scipy():

@@ -160,8 +160,8 @@ def test_a_plan_stands_alone_and_files_are_named(tmp_path):
         validate(FlightConfig, {"aircraft": "aerosonde", "plan": "absent.plan"}, "flight")
     with pytest.raises(InputError, match="plan_skip names item 9, but the plan has items 1 to 5"):
         config(tmp_path, square(), plan_skip=[9])
+    land = item(21, [0, 0, 0, None, *SAMPLE_HOME])
     with pytest.raises(InputError, match=r"item 7.*never reached: item 6 lands"):
-        land = item(21, [0, 0, 0, None, *SAMPLE_HOME])
         config(tmp_path, sample([land, waypoint(SAMPLE_POINTS[0])]), "multirotor", plan_skip=[3, 4])
 
 

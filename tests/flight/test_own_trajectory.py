@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from closure import strapdown_errors
 from flights import flight, straight, turn
 
-from estimators.core.strapdown import integrate
 from testbed import pipeline
 from testbed.base.errors import InputError
 from testbed.base.notes import notes_of
@@ -36,12 +36,8 @@ def write(path: Path, names: str, *columns, fmt: str = "%.17g") -> Path:
 
 
 def closure(truth):
-    """Largest horizontal distance (m) of the strapdown over the true increments."""
-    lla, v, q = (np.empty((len(truth.t) - 1, n)) for n in (3, 3, 4))
-    start = truth.lat[0], truth.lon[0], truth.h[0], truth.v_n[0], truth.q_nb[0]
-    integrate(truth.t[0], truth.t[1:], truth.w_ib_b[1:], truth.f_b[1:], *start, np.zeros(3), np.zeros(3), lla, v, q)
-    there = to_ecef(truth.lat[1:], truth.lon[1:], truth.h[1:])
-    return np.linalg.norm(to_ecef(*lla.T) - there, axis=1).max()
+    """Largest distance (m) of the strapdown over the true increments."""
+    return np.linalg.norm(strapdown_errors(truth), axis=0).max()
 
 
 def circle(tmp_path, rate=1.0, seconds=120.0, radius=400.0, period=60.0):
