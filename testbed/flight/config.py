@@ -433,7 +433,7 @@ def _planned(data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
     path = Path(data["plan"]) if folder is None else folder / data["plan"]
     flown, _ = load_aircraft(_resolved(str(aircraft), folder))
     left_out = frozenset(number for number in skip if type(number) is int)
-    keys = mission_keys(path, flown, Choices(left_out, **numbers))
+    keys = mission_keys(path, flown, Choices(left_out, **numbers, heading_given="heading_deg" in own))
     return data | keys | {"initial": keys["initial"] | dict(own)}
 
 

@@ -2,10 +2,10 @@
 
 | command | becomes |
 | --- | --- |
-| 22 take-off | a multirotor: ``take_off`` from the ground at home's height; an aeroplane begins in the air at its point |
+| 22 take-off | ``take_off`` from the ground at home's height; an aeroplane without wheels begins in the air at its point |
 | 16 waypoint | a point of ``waypoints``, along the legs; hold and heading for multirotors; acceptance radius |
 | 17, 18, 19 loiter | ``loiter`` about the centre; of a multirotor 17 and 19 ``hover``, as MAVLink says |
-| 21 land | a multirotor: to its point, and ``land`` |
+| 21 land | a multirotor: to its point, and ``land``; an aeroplane: ``approach`` from where it comes, and ``land`` |
 | 178 change speed | ``speed_mps`` of the next point or manoeuvre |
 
 What cannot be mapped is refused with the item's number. Degrees, metres, m/s.
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from testbed.base.errors import InputError, tell_user
 from testbed.flight import plan_file as pf
-from testbed.flight.aircraft import AnyAircraft, Multirotor
+from testbed.flight.aircraft import Aircraft, AnyAircraft, Multirotor
 from testbed.flight.plan_file import Item, Plan
 from testbed.physics.earth import G0
 from testbed.physics.earth import A as EARTH_RADIUS
@@ -44,6 +44,8 @@ class Choices(NamedTuple):
     duration_s: float | None = None
     speed_mps: float | None = None
     """In place of the plan's first speed."""
+    heading_given: bool = False
+    """The scenario says the heading of the start."""
 
 
 def mission_keys(path: Path, aircraft: AnyAircraft, choices: Choices) -> dict[str, Any]:
@@ -70,6 +72,8 @@ class _Mapping:
         self.speed = choices.speed_mps or self._first_speed()
         self.waiting_speed: float | None = None
         self.here = plan.home[:2]
+        self.wheels = isinstance(aircraft, Aircraft) and aircraft.ground is not None
+        self.took_off = False
         self.manoeuvres: list[dict[str, Any]] = []
         self.points: list[dict[str, Any]] = []
         self.first = 0
@@ -128,6 +132,8 @@ class _Mapping:
             return self._rotor_start(items, begins[0], ground)
         if not places:
             raise InputError(f"{self.plan.file}: no item has a place to fly to")
+        if begins and self.wheels:
+            return self._runway_start(items, begins[0], ground)
         if begins:
             lat, lon, alt = self._place(self._with_place(begins[0]))
             items.remove(begins[0])
@@ -143,6 +149,25 @@ class _Mapping:
             if math.hypot(north, east) > SAME_PLACE_M:
                 initial["heading_deg"] = math.degrees(math.atan2(east, north))
         self.here = lat, lon
+        return initial
+
+    def _runway_start(self, items: list[Item], take_off: Item, ground: float) -> dict[str, Any]:
+        """Parked at home, to take off in the direction of the take-off's point."""
+        lat, lon, alt = self._place(self._with_place(take_off))
+        home = self.plan.home[:2]
+        north, east = _metres(home, (lat, lon))
+        initial: dict[str, Any] = {"lat_deg": home[0], "lon_deg": home[1], "alt_m": ground, "parked": True}
+        if math.hypot(north, east) > SAME_PLACE_M:
+            initial["heading_deg"] = math.degrees(math.atan2(east, north))
+        elif not self.choices.heading_given:
+            take_off.fail("its point is home, which gives no direction; say initial.heading_deg, that of the runway")
+        height = alt - ground
+        if not 30.0 <= height <= 1000.0:
+            take_off.fail(f"it climbs to {height:g} m above home; 30 to 1000 m are flown")
+        items.remove(take_off)
+        self.manoeuvres.append({"type": "take_off", "to_height_m": height, "name": f"{take_off.number} take-off"})
+        self.manoeuvres[-1]["speed_mps"] = self.speed
+        self.here, self.took_off = home, True
         return initial
 
     def _rotor_start(self, items: list[Item], take_off: Item, ground: float) -> dict[str, Any]:
@@ -290,22 +315,28 @@ class _Mapping:
         return None
 
     def _land(self, item: Item) -> None:
-        if not self.rotor:
-            item.fail(
-                "aeroplanes are not landed from a plan: it says nothing of a runway; take it out of the plan, or leave it out "
-                f"with plan_skip = [{item.number}]"
-            )
+        if not self.rotor and not self.took_off:
+            why = "a landing needs a take-off before it" if self.wheels else "this aircraft has no wheels to land on"
+            item.fail(f"{why}; take it out of the plan, or leave it out with plan_skip = [{item.number}]")
         if item.value(1) != 0.0 or item.value(2) != 0.0:
             item.fail("abort height and precision landing (parameters 1, 2) are not flown; set them to 0")
         lat, lon, _ = self._place(self._with_place(item))
-        if math.hypot(*_metres(self.here, (lat, lon))) > SAME_PLACE_M:
-            point: dict[str, Any] = {"lat_deg": lat, "lon_deg": lon, "radius_m": self._radius()}
+        north, east = _metres(self.here, (lat, lon))
+        away = math.hypot(north, east) > SAME_PLACE_M
+        point: dict[str, Any] = {"lat_deg": lat, "lon_deg": lon}
+        if self.rotor and away:
             self._take_speed(point)
             self._close()
+            points = [point | {"radius_m": self._radius()}]
             self.manoeuvres.append(
-                {"type": "waypoints", "points": [point], "follow": "legs", "name": f"{item.number} way"}
+                {"type": "waypoints", "points": points, "follow": "legs", "name": f"{item.number} way"}
             )
         self._close()
+        if not self.rotor:
+            approach: dict[str, Any] = {"type": "approach", "name": f"{item.number} approach"}
+            if away:
+                approach |= {"heading_deg": math.degrees(math.atan2(east, north)), "point": point}
+            self.manoeuvres.append(approach)
         self.manoeuvres.append({"type": "land", "name": f"{item.number} land"})
         self.over = f"item {item.number} lands"
 

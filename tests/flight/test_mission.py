@@ -107,6 +107,28 @@ def test_a_sample_that_others_made_is_flown_by_the_multirotor(tmp_path):
     assert truth.h[-1] == pytest.approx(truth.h[0], abs=0.005) and np.abs(truth.v_n[-1]).max() < 1e-3
 
 
+def test_an_aeroplane_with_wheels_takes_off_and_lands(tmp_path):
+    """From home towards the take-off's point; down in the direction from the last point, in the middle of a runway of 45 m,
+    within the 600 m beyond its point that a flare of 5 s and 40 s of rolling and braking from 33 m/s can take."""
+    points = [place(-600, 2500, 110), place(-1800, 2500, 140), place(-1800, -2500, 200), place(-150, -2500, 180)]
+    items = [item(22, [10, 0, 0, None, *place(0, 1000, 100)]), *(waypoint(point) for point in points)]
+    content = plan([*items, item(21, [0, 0, 0, None, *place(0, 400, 0)])], HOME, vehicleType=1, cruiseSpeed=45)
+    truth = fly_flight(config(tmp_path, content, "trainer", rate_hz=50.0), use_cache=False)
+    assert [p.name for p in truth.phases] == ["1 take-off", "2-5 waypoints", "6 approach", "6 land"]
+    north, east = track(truth)
+    climbing = truth.t < truth.phases[0].end
+    assert truth.h[0] == pytest.approx(truth.h[-1], abs=0.05) and np.abs(truth.v_n[-1]).max() < 0.1
+    assert np.abs(north[climbing]).max() < 22.5 and truth.h[climbing][-1] > truth.h[0] + 75.0, "the climb fades from there"
+    first = np.hypot(north + 600.0, east - 2500.0).argmin()
+    assert truth.h[first] == pytest.approx(HOME[2] + 110.0, abs=15.0), "five seconds of its climb"
+    course = math.atan2(2900.0, 150.0)
+    forward = north[-1] * math.cos(course) + (east[-1] - 400.0) * math.sin(course)
+    right = (east[-1] - 400.0) * math.cos(course) - north[-1] * math.sin(course)
+    assert abs(right) < 22.5 and 0.0 < forward < 600.0
+    with pytest.raises(InputError, match="item 2.*a landing needs a take-off before it"):
+        config(tmp_path, plan([waypoint(points[0]), item(21, [0, 0, 0, None, *HOME])], HOME, cruiseSpeed=45), "trainer")
+
+
 REFUSED = {
     "return": (item(20, [0] * 7, frame=2), r"item 6 \(return to launch, 20\).*not flown.*plan_skip = \[6\]"),
     "unknown": (item(4242, [0] * 7, frame=2), r"item 6 \(command, 4242\)"),
@@ -120,7 +142,7 @@ REFUSED = {
     "no place": (item(16, [0, 0, 0, None, None, None, 50]), "item 6.*latitude, longitude and height"),
     "high": (waypoint([*HOME[:2], 1e7]), "item 6.*a height of 1.00004e.07 m; 0 to 30000 m"),
     "nowhere": (waypoint([145.0, 10.0, 100.0]), "item 6.*no place that is flown"),
-    "land": (item(21, [0, 0, 0, None, *HOME]), r"item 6 \(land, 21\).*runway.*plan_skip = \[6\]"),
+    "land": (item(21, [0, 0, 0, None, *HOME]), r"item 6 \(land, 21\).*no wheels.*plan_skip = \[6\]"),
     "for ever": (item(17, [0, 0, 100, None, *place(0, 0, 200)]), "item 6.*never ends.*duration_s"),
     "ground speed": (item(178, [1, 30, -1, 0, 0, 0, 0], frame=2), "item 6.*through the air"),
     "throttle": (item(178, [0, 30, 50, 0, 0, 0, 0], frame=2), "item 6.*throttle"),
