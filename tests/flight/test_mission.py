@@ -118,14 +118,16 @@ def test_an_aeroplane_with_wheels_takes_off_and_lands(tmp_path):
     north, east = track(truth)
     climbing = truth.t < truth.phases[0].end
     assert truth.h[0] == pytest.approx(truth.h[-1], abs=0.05) and np.abs(truth.v_n[-1]).max() < 0.1
-    assert np.abs(north[climbing]).max() < 22.5 and truth.h[climbing][-1] > truth.h[0] + 75.0, "the climb fades from there"
+    assert np.abs(north[climbing]).max() < 22.5 and truth.h[climbing][-1] > truth.h[0] + 75.0, (
+        "the climb fades from there"
+    )
     first = np.hypot(north + 600.0, east - 2500.0).argmin()
     assert truth.h[first] == pytest.approx(HOME[2] + 110.0, abs=15.0), "five seconds of its climb"
     course = math.atan2(2900.0, 150.0)
     forward = north[-1] * math.cos(course) + (east[-1] - 400.0) * math.sin(course)
     right = (east[-1] - 400.0) * math.cos(course) - north[-1] * math.sin(course)
     assert abs(right) < 22.5 and 0.0 < forward < 600.0
-    with pytest.raises(InputError, match="item 2.*a landing needs a take-off before it"):
+    with pytest.raises(InputError, match=r"item 2.*a landing needs a take-off before it"):
         config(tmp_path, plan([waypoint(points[0]), item(21, [0, 0, 0, None, *HOME])], HOME, cruiseSpeed=45), "trainer")
 
 
