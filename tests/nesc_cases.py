@@ -93,7 +93,7 @@ def fly(number: str, rules: tuple[int, int, int, int] = IN_THE_AIR, step_hz: flo
     case = CASES[number]
     with tempfile.TemporaryDirectory() as place:
         (Path(place) / f"{case.body}.xml").write_text(model_xml(case.body, case.drag, case.damping))
-        aircraft: Any = SimpleNamespace(model=SimpleNamespace(shipped=False, jsbsim=case.body))
+        aircraft: Any = SimpleNamespace(model=SimpleNamespace(shipped=False, jsbsim=case.body, stand_in={}))
         fdm = _load(aircraft, Path(place), 1.0 / step_hz)
     for name, rule in zip(INTEGRATORS, rules, strict=True):
         fdm[name] = rule

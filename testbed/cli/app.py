@@ -49,7 +49,7 @@ SetOption = Annotated[
 ]
 PluginOption = Annotated[list[Path] | None, typer.Option("--plugin", help="Python file with your own estimators.")]
 SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed in place of the scenario's.")]
-_PATH_KEY = re.compile(r"recording\.dir|flight\.trajectory|sensors\.\w+\.file|estimators\.\d+\.params_file")
+_PATH_KEY = re.compile(r"recording\.dir|flight\.(?:trajectory|plan)|sensors\.\w+\.file|estimators\.\d+\.params_file")
 """Settings that are paths: on the command line they start from the current folder, in a scenario file from its own."""
 OutOption = Annotated[
     Path | None,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from testbed.data.records import Trajectory
-from testbed.flight.aircraft import Aircraft, list_aircraft, load_aircraft
+from testbed.flight.aircraft import AnyAircraft, Multirotor, list_aircraft, load_aircraft
 from testbed.flight.config import FlightConfig
 from testbed.flight.drive import DriveConfig, drive
 from testbed.flight.own import TrajectoryConfig
@@ -47,21 +47,25 @@ def fly_flight(
     return cache.load(path) or _fly(config, aircraft, folder, seed)
 
 
-def _fly(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> Trajectory:
+def _fly(config: FlightConfig, aircraft: AnyAircraft, folder: Path, seed: int) -> Trajectory:
     import numpy as np
 
     from testbed.base.errors import FlightError
-    from testbed.flight.driver import AIR, fly_script
+    from testbed.flight.driver import fly_script
+    from testbed.flight.multirotor import fly_multirotor
     from testbed.flight.script import FEWEST_SAMPLES
     from testbed.flight.truth import make_trajectory
     from testbed.physics.earth import G0
 
-    flown = fly_script(config, aircraft, folder, seed)
+    if isinstance(aircraft, Multirotor):
+        flown = fly_multirotor(config, aircraft, folder, seed)
+    else:
+        flown = fly_script(config, aircraft, folder, seed)
     rows = len(flown.v_n)
     if rows < FEWEST_SAMPLES:
         raise FlightError(f"a flight of {rows} samples is too short")
     t = np.arange(rows) / config.rate_hz
-    extra = {name: np.interp(t, flown.air_t, flown.air[:, i]) for i, (name, _) in enumerate(AIR)}
+    extra = {name: np.interp(t, flown.air_t, flown.air[:, i]) for i, name in enumerate(flown.air_names)}
     del t
     v_n, q_nb, start, phases = flown.v_n, flown.q_nb, flown.start, flown.phases
     del flown  # with the air data at their own rate, a tenth of a long flight's memory

@@ -7,7 +7,9 @@ WGS-84 ellipsoid in metres; positive bank and `right` turn to the right, positiv
 from __future__ import annotations
 
 import typing
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -37,8 +39,6 @@ class InitialFlightState(Table):
     def _moves_or_stands(self) -> InitialFlightState:
         if self.parked and self.speed_mps:
             raise ValueError("a parked aircraft has no speed_mps; remove one of the two")
-        if not self.parked and not self.speed_mps:
-            raise ValueError("a flight that begins in the air needs speed_mps above 0; on the ground say parked = true")
         return self
 
 
@@ -147,8 +147,35 @@ class Descent(_Vertical):
     type: Literal["descent"]
 
 
+class Waypoint(Table):
+    """A point to overfly: north and east of the start in metres, or latitude and longitude."""
+
+    north_m: Metres | None = None
+    east_m: Metres | None = None
+    lat_deg: float | None = Field(default=None, ge=-85, le=85)
+    lon_deg: float | None = Field(default=None, ge=-180, le=180)
+    alt_m: float | None = Field(default=None, ge=0, le=30_000)
+    radius_m: float | None = Field(default=None, gt=0, le=100_000)
+    """Reached when passed within it; default that of the manoeuvre."""
+    speed_mps: Speed | None = None
+    """From here on, on the way to this point first."""
+    hold_s: Duration | None = None
+    """Multirotors: hover at the point."""
+    heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    """Multirotors: heading on the way; default along it."""
+
+    @model_validator(mode="after")
+    def _one_frame(self) -> Waypoint:
+        local = self.north_m is not None and self.east_m is not None
+        geodetic = self.lat_deg is not None and self.lon_deg is not None
+        given = sum(v is not None for v in (self.north_m, self.east_m, self.lat_deg, self.lon_deg))
+        if local == geodetic or given != 2:
+            raise ValueError("a waypoint needs either north_m and east_m or lat_deg and lon_deg")
+        return self
+
+
 class Loiter(Climbing):
-    """Circle at a radius over the ground, around the point abeam at the start."""
+    """Circle at a radius over the ground, around a centre, or around the point abeam at the start."""
 
     type: Literal["loiter"]
     radius_m: float = Field(gt=0, le=100_000)
@@ -159,6 +186,10 @@ class Loiter(Climbing):
     """Ends it after so many full circles."""
     duration_s: Duration | None = None
     """Ends it after this time."""
+    centre: Waypoint | None = None
+    """The way to the circle is part of the manoeuvre; turns and duration count from its arrival there."""
+    leave_towards: Waypoint | None = None
+    """Stay on the circle beyond its end until the course points here."""
     ends: ClassVar[tuple[str, ...]] = ("turns", "duration_s")
 
 
@@ -245,37 +276,25 @@ class Doublet(Manoeuvre):
         return self
 
 
-class Waypoint(Table):
-    """A point to overfly: north and east of the start in metres, or latitude and longitude."""
-
-    north_m: Metres | None = None
-    """North of the start."""
-    east_m: Metres | None = None
-    """East of the start."""
-    lat_deg: float | None = Field(default=None, ge=-85, le=85)
-    """Instead: latitude."""
-    lon_deg: float | None = Field(default=None, ge=-180, le=180)
-    """With it: longitude."""
-    alt_m: float | None = Field(default=None, ge=0, le=30_000)
-    """Height above the ellipsoid; default: the one before."""
-
-    @model_validator(mode="after")
-    def _one_frame(self) -> Waypoint:
-        local = self.north_m is not None and self.east_m is not None
-        geodetic = self.lat_deg is not None and self.lon_deg is not None
-        given = sum(v is not None for v in (self.north_m, self.east_m, self.lat_deg, self.lon_deg))
-        if local == geodetic or given != 2:
-            raise ValueError("a waypoint needs either north_m and east_m or lat_deg and lon_deg")
-        return self
-
-
 class Waypoints(Manoeuvre):
-    """Fly over a list of points, each reached when passed within ``radius_m``."""
+    """Fly over a list of points, each reached when passed within ``radius_m`` (default 100 m, multirotors 2 m).
+
+    With ``follow = "legs"`` an aeroplane keeps to the line between two points, also in wind, climbs along it, and begins each
+    turn so early, up to ``radius_m`` before the point, that it ends on the next line; multirotors always follow the legs.
+    """
 
     type: Literal["waypoints"]
     points: list[Waypoint] = Field(min_length=1)
-    radius_m: float = Field(default=100.0, gt=0, le=100_000)
-    """A point counts as reached when passed within this."""
+    radius_m: float | None = Field(default=None, gt=0, le=100_000)
+    follow: Literal["direct", "legs"] = "direct"
+
+
+class Hover(Manoeuvre):
+    """Stay at a place (multirotors), in the end at a heading if one is given."""
+
+    type: Literal["hover"]
+    duration_s: Duration
+    heading_deg: float | None = Field(default=None, ge=-360, le=360)
 
 
 class _Grounded(Manoeuvre):
@@ -301,15 +320,11 @@ class LineUp(_Grounded):
 
 
 class TakeOff(Manoeuvre):
-    """Take off straight ahead and climb to a height above the runway, at ``speed_mps`` or the aircraft's usual speed."""
+    """Take off straight ahead, or upwards, to a height above the ground, at ``speed_mps`` or the aircraft's usual speed."""
 
     type: Literal["take_off"]
-    to_height_m: float = Field(
-        default=100.0,
-        ge=30,
-        le=1000,
-        description="Above the runway, m; default: about 300 feet, where circuits begin to turn",
-    )
+    to_height_m: float = Field(default=100.0, ge=1, le=1000)
+    """Aeroplanes climb to 30 m at least."""
 
 
 class Approach(Manoeuvre):
@@ -335,7 +350,7 @@ class Approach(Manoeuvre):
 
 
 class Land(_Grounded):
-    """Flare, touch down and brake to a stop; comes after an approach."""
+    """Flare, touch down and brake to a stop, after an approach; a multirotor lands where it hovers."""
 
     type: Literal["land"]
 
@@ -355,6 +370,7 @@ AnyManoeuvre = Annotated[
     | Decelerate
     | Doublet
     | Waypoints
+    | Hover
     | Park
     | LineUp
     | TakeOff
@@ -362,6 +378,12 @@ AnyManoeuvre = Annotated[
     | Land,
     Field(discriminator="type"),
 ]
+
+
+def manoeuvre_name(kind: type[Manoeuvre]) -> str:
+    """How a script calls a type of manoeuvre."""
+    name: str = typing.get_args(kind.model_fields["type"].annotation)[0]
+    return name
 
 
 def manoeuvre_keys() -> dict[str, tuple[str, str]]:
@@ -375,8 +397,7 @@ def manoeuvre_keys() -> dict[str, tuple[str, str]]:
         parts = [", ".join(needed)] if needed else []
         parts += [f"exactly one of {', '.join(kind.ends)}"] if len(kind.ends) > 1 else []
         parts += [f"and if wanted {', '.join(free)}"] if free else []
-        name = typing.get_args(kind.model_fields["type"].annotation)[0]
-        found[name] = (kind.__doc__ or "").split("\n")[0], "; ".join(parts)
+        found[manoeuvre_name(kind)] = (kind.__doc__ or "").split("\n")[0], "; ".join(parts)
     return found
 
 
@@ -395,12 +416,64 @@ class FlightConfig(Table):
     initial: InitialFlightState
     wind: Wind = Wind()
     manoeuvres: list[AnyManoeuvre] = Field(min_length=1)
+    plan: str | None = Field(
+        default=None,
+        exclude=True,
+        description="A mission of QGroundControl (.plan, from the scenario's folder on) in place of initial and manoeuvres",
+    )
+    plan_skip: list[Annotated[int, Field(ge=1)]] = Field(
+        default=[], exclude=True, description="Numbers of items of the plan that are left out, from 1 on"
+    )
+    plan_undulation_m: float = Field(
+        default=0.0,
+        ge=-200,
+        le=200,
+        exclude=True,
+        description="Height of mean sea level, which a plan's heights count from, above the ellipsoid, m",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_plan(cls, data: Any, info: ValidationInfo) -> Any:
+        """The keys that a plan stands for; `testbed.flight.mission` says how."""
+        if not isinstance(data, Mapping) or not isinstance(data.get("plan"), str):
+            return data
+        return _planned(dict(data), (info.context or {}).get("folder"))
 
     @field_validator("aircraft")
     @classmethod
     def _from_folder(cls, value: str, info: ValidationInfo) -> str:
-        folder = (info.context or {}).get("folder")
-        return str((folder / value).resolve()) if "/" in value and folder is not None else value
+        return _resolved(value, (info.context or {}).get("folder"))
+
+
+def _resolved(aircraft: str, folder: Path | None) -> str:
+    return str((folder / aircraft).resolve()) if "/" in aircraft and folder is not None else aircraft
+
+
+def _planned(data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+    """``[flight]`` with initial state and manoeuvres from its plan; keys of ``[flight.initial]`` stand above the plan's."""
+    if "manoeuvres" in data:
+        raise ValueError("plan and manoeuvres exclude each other; remove one of the two")
+    aircraft, own, skip = data.get("aircraft"), data.get("initial", {}), data.get("plan_skip", [])
+    numbers = {
+        "undulation_m": data.get("plan_undulation_m", 0.0),
+        "duration_s": data.get("duration_s"),
+        "speed_mps": own.get("speed_mps") if isinstance(own, Mapping) else None,
+    }
+    plain = isinstance(aircraft, str) and isinstance(own, Mapping) and isinstance(skip, list)
+    if not plain or not all(value is None or type(value) in (int, float) for value in numbers.values()):
+        return data | {
+            "manoeuvres": [{"type": "straight", "duration_s": 1.0}]
+        }  # the wrong key is told by its own check
+    # this reads kernels of the Earth, which are not needed to read a scenario without a plan
+    from testbed.flight.aircraft import load_aircraft
+    from testbed.flight.mission import Choices, mission_keys
+
+    path = Path(data["plan"]) if folder is None else folder / data["plan"]
+    flown, _ = load_aircraft(_resolved(str(aircraft), folder))
+    left_out = frozenset(number for number in skip if type(number) is int)
+    keys = mission_keys(path, flown, Choices(left_out, **numbers, heading_given="heading_deg" in own))
+    return data | keys | {"initial": keys["initial"] | dict(own)}
 
 
 def _not_level(bank_deg: float) -> float:

@@ -26,8 +26,8 @@ from testbed.flight import autopilot_kernels as ap
 from testbed.flight import manoeuvres
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.autopilot import gain_array
-from testbed.flight.config import FlightConfig
-from testbed.flight.script import FEWEST_SAMPLES, MOST_SAMPLES, Script, check_script, script_duration
+from testbed.flight.config import AnyManoeuvre, FlightConfig, Land, Park, Straight
+from testbed.flight.script import FEWEST_SAMPLES, GENERATORS, MOST_SAMPLES, Guide, Script, check_script, script_duration
 from testbed.flight.simulator import FOOT, IN_THE_AIR, KELVIN_PER_RANKINE, ON_WHEELS, STATE, Simulator
 from testbed.flight.truth import Resampler
 from testbed.flight.undercarriage import Undercarriage
@@ -38,9 +38,7 @@ STEP_HZ = 400.0
 within 1 % of that at 800 Hz, at 200 Hz within 3 % (six seeds)."""
 FLUSH = 1 << 14
 """Steps that are kept before they go to the splines: the memory of a flight does not grow with its knots."""
-STEPS_PER_CONTROL = 8
-CONTROLS_PER_GUIDANCE = 5
-CONTROLS_PER_AIR_SAMPLE = 2
+GUIDANCE_HZ, AIR_HZ = 10.0, 25.0
 GROUND_M = 1.0
 """Below this height over ground the aircraft has hit it."""
 WHEELS_M = 2.0
@@ -78,12 +76,22 @@ class Recording:
     start: tuple[float, float, float]
     steps: int
     """JSBSim steps taken, settling included."""
+    air_names: tuple[str, ...] = tuple(name for name, _ in AIR)
+
+
+class Rates:
+    """How often what happens: steps of JSBSim per tick of the autopilot, ticks per guidance and per sample of the air."""
+
+    def __init__(self, control_hz: float) -> None:
+        self.steps = round(STEP_HZ / control_hz)
+        self.guidance, self.air = round(control_hz / GUIDANCE_HZ), round(control_hz / AIR_HZ)
+        self.period = self.steps / STEP_HZ
 
 
 def fly_script(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int) -> Recording:
     """Fly the whole script. Raises FlightError that names manoeuvre and time."""
     check_script(config, aircraft)
-    pilot = _Pilot(config, aircraft, Simulator(config, aircraft, folder, 1.0 / STEP_HZ, seed))
+    pilot = Pilot(config, aircraft, Simulator(config, aircraft, folder, 1.0 / STEP_HZ, seed))
     if config.initial.parked:
         pilot.park(config)
     else:
@@ -91,29 +99,35 @@ def fly_script(config: FlightConfig, aircraft: Aircraft, folder: Path, seed: int
     return pilot.fly(config)
 
 
-def steps_per_sample(rate_hz: float) -> int:
+def steps_per_sample(rate_hz: float, steps_per_control: int) -> int:
     """Steps of JSBSim between two samples of its state: as many as lie between two rows of the truth, where that is a part of
-    the autopilot's tick; else each step is sampled, and the rows lie between."""
+    the autopilot's tick; else as many as make a tick where that divides them, and the rows lie on samples or between."""
     stride = round(STEP_HZ / rate_hz)
     whole = stride >= 1 and math.isclose(stride * rate_hz, STEP_HZ, rel_tol=1e-12)
-    return stride if whole and STEPS_PER_CONTROL % stride == 0 else 1
+    return math.gcd(stride, steps_per_control) if whole else 1
 
 
-class _Pilot:
+class Pilot:
     """Autopilot, guidance and recorder around one simulator."""
+
+    columns: tuple[tuple[str, float], ...] = AIR
 
     def __init__(self, config: FlightConfig, aircraft: Aircraft, simulator: Simulator) -> None:
         self.aircraft, self.simulator = aircraft, simulator
-        self.period = STEPS_PER_CONTROL / STEP_HZ
+        self.rates = Rates(aircraft.autopilot.rate_hz)
+        self.period = self.rates.period
         self.desk = np.zeros(ap.DESK)
         self.measured, self.target, self.memory, self.command = ap.desk_views(self.desk)
         self.memory[ap.SPEED_REFERENCE] = config.initial.speed_mps
         self.memory[ap.PITCH_INTEGRAL] = aircraft.autopilot.elevator_trim
         # a memory view gives plain numbers, in a third of the time that an element of a numpy array takes
         self.wanted, self.held = memoryview(self.target), memoryview(self.memory)
-        self.situation = manoeuvres.Situation(aircraft, memoryview(self.measured), self.target)
+        situation = manoeuvres.Situation(aircraft, memoryview(self.measured), self.target)
+        self.situation: manoeuvres.Journey = situation
+        self.flying = situation
+        self.guide: Guide = lambda manoeuvre: manoeuvres.guide(manoeuvre, situation, GENERATORS[type(manoeuvre)])
         self.wheels = simulator.undercarriage if config.initial.parked else None
-        self.situation.undercarriage = self.wheels
+        situation.undercarriage = self.wheels
         self.on_wheels = config.initial.parked
         self.air = array("d")
         self.read, self.act, self.record = _make_tick(self)
@@ -172,7 +186,7 @@ class _Pilot:
         if config.wind.turbulence != "none":
             self.simulator.turbulence_on()
         # what moved until it was held is not part of the flight
-        for _ in range(STEPS_PER_CONTROL):
+        for _ in range(self.rates.steps):
             self.simulator.run()
 
     def fly(self, config: FlightConfig) -> Recording:
@@ -184,9 +198,10 @@ class _Pilot:
         s.origin = (*origin, config.initial.alt_m)
         s.metres = metres_per_radian(s.origin[0], s.origin[2])
         start = *origin, self.simulator.motion[6]() * FOOT
-        stride = steps_per_sample(config.rate_hz)
+        rates = self.rates
+        stride = steps_per_sample(config.rate_hz, rates.steps)
         truth = Resampler(STEP_HZ / stride, config.rate_hz)
-        script = Script(config, s)
+        script = Script(config, s, self.guide, self.rest(config))
         v_n, v_e, v_d, roll, pitch, yaw = self.simulator.state
         # a row is packed before it is stored: an array that is extended by a tuple takes twice as long
         pack, state = struct.Struct(f"{len(STATE)}d").pack, array("d")
@@ -194,24 +209,24 @@ class _Pilot:
         store(pack(v_n(), v_e(), v_d(), roll(), pitch(), yaw()))
         read, act, record = self.read, self.act, self.record
         step, ticks = 0, 0
-        samples_per_tick = ((run,) * stride,) * (STEPS_PER_CONTROL // stride)
+        samples_per_tick = ((run,) * stride,) * (rates.steps // stride)
         last = (
             None if samples is None else max(FEWEST_SAMPLES, math.ceil((samples - 1) * STEP_HZ / config.rate_hz - 1e-6))
         )
         # this loop is the whole cost of flying beside JSBSim itself
         while last is None or step < last:
             read()
-            if ticks % CONTROLS_PER_GUIDANCE == 0:
+            if ticks % rates.guidance == 0:
                 s.t = round(step / STEP_HZ, 9)
                 self._look()
                 self._watch(script)
                 if not script.advance(open_ended=last is not None):
                     break
             act()
-            if ticks % CONTROLS_PER_AIR_SAMPLE == 0:
+            if ticks % rates.air == 0:
                 record()
             ticks += 1
-            step += STEPS_PER_CONTROL
+            step += rates.steps
             for steps in samples_per_tick:
                 for take_step in steps:
                     take_step()
@@ -222,24 +237,31 @@ class _Pilot:
         _hand_over(state, truth)
         flown_v_n, flown_q_nb = truth.finish()
         flown_v_n, flown_q_nb = flown_v_n[:samples], flown_q_nb[:samples]
-        air = np.frombuffer(self.air).reshape(-1, len(AIR))
-        air *= np.array([factor for _, factor in AIR])
+        air = np.frombuffer(self.air).reshape(-1, len(self.columns))
+        air *= np.array([factor for _, factor in self.columns])
         return Recording(
             flown_v_n,
             flown_q_nb,
-            np.arange(len(air)) * CONTROLS_PER_AIR_SAMPLE * self.period,
+            np.arange(len(air)) * rates.air * self.period,
             air,
             script.phases((len(flown_v_n) - 1) / config.rate_hz),
             start,
             self.steps,
+            tuple(name for name, _ in self.columns),
         )
+
+    def rest(self, config: FlightConfig) -> AnyManoeuvre:
+        """What a flight does that is longer than its script."""
+        if isinstance(config.manoeuvres[-1], Park | Land):
+            return Park(type="park", duration_s=200_000.0)
+        return Straight(type="straight", duration_s=200_000.0)
 
     def _run_tick(self) -> None:
         self.read()
         self.act()
-        for _ in range(STEPS_PER_CONTROL):
+        for _ in range(self.rates.steps):
             self.simulator.run()
-        self.steps += STEPS_PER_CONTROL
+        self.steps += self.rates.steps
 
     def _look(self) -> None:
         """Refresh what guidance sees beside the measurements of the autopilot.
@@ -247,10 +269,10 @@ class _Pilot:
         The place is that of the truth, which begins where the scenario says: the integral of the velocity by the trapezoid
         rule, which is exact to (0.1 s)²/12 of the change of acceleration, centimetres.
         """
-        s, sim = self.situation, self.simulator
+        s, sim = self.flying, self.simulator
         v_north, v_east = sim.state[0]() * FOOT, sim.state[1]() * FOOT
         if s.t > 0.0:
-            half = 0.5 * CONTROLS_PER_GUIDANCE * self.period
+            half = 0.5 * self.rates.guidance * self.period
             s.north += half * (s.v_north + v_north)
             # a degree of longitude is that of the present latitude
             cosine = math.cos(s.origin[0]) / math.cos(s.origin[0] + s.north / s.metres[0])
@@ -271,7 +293,7 @@ class _Pilot:
             script.fail(f"flies on, beyond the {MOST_SAMPLES:.0e} samples that are kept")
         if not math.isfinite(sum(m)):
             script.fail("diverged: the state of the simulation is not finite")
-        if self.situation.low and self.wheels is not None:
+        if self.flying.low and self.wheels is not None:
             self._watch_wheels(script, self.wheels)
             return
         if self.height_over_ground() < GROUND_M / FOOT:
@@ -319,7 +341,7 @@ def _hand_over(state: array[float], truth: Resampler) -> None:
     del state[:]
 
 
-def _make_tick(pilot: _Pilot) -> tuple[Callable[[], None], Callable[[], None], Callable[[], None]]:
+def _make_tick(pilot: Pilot) -> tuple[Callable[[], None], Callable[[], None], Callable[[], None]]:
     """Read, act and record as closures over local names: attribute look-ups would double their cost."""
     sim = pilot.simulator
     p, q, r, airspeed, alpha, beta, height, climb = sim.motion

@@ -27,13 +27,10 @@ PATIENCE = 3.0
 """A manoeuvre that takes this many times what it should, and a minute more, has failed."""
 
 
-@dataclass
-class Situation:
-    """What guidance sees and sets: the time, the measurements of the autopilot, the place, and the targets."""
+@dataclass(kw_only=True)
+class Journey:
+    """Where a flight is in time and place, whatever flies."""
 
-    aircraft: Aircraft
-    measured: memoryview[float] | NDArray[np.float64]
-    target: NDArray[np.float64]
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Latitude, longitude (rad) and height (m) where the flight starts."""
     metres: tuple[float, float] = (0.0, 0.0)
@@ -46,6 +43,20 @@ class Situation:
     v_north: float = 0.0
     v_east: float = 0.0
     end: float = field(default=0.0)
+
+    @property
+    def course(self) -> float:
+        """Direction of the velocity over ground, rad."""
+        return math.atan2(self.v_east, self.v_north)
+
+
+@dataclass
+class Situation(Journey):
+    """What guidance sees and sets: the time, the measurements of the autopilot, the place, and the targets."""
+
+    aircraft: Aircraft
+    measured: memoryview[float] | NDArray[np.float64]
+    target: NDArray[np.float64]
     undercarriage: Undercarriage | None = None
     runway: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """North and east (m) of the place where the last take-off began, and its heading (rad)."""
@@ -57,11 +68,6 @@ class Situation:
     def of(self, index: int) -> float:
         """A measurement by its kernel index."""
         return float(self.measured[index])
-
-    @property
-    def course(self) -> float:
-        """Direction of the velocity over ground, rad."""
-        return math.atan2(self.v_east, self.v_north)
 
     @property
     def turn_rate(self) -> float:
@@ -96,14 +102,14 @@ def _hold_level(s: Situation) -> None:
     s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
 
 
-def during(s: Situation, duration_s: float) -> Iterator[None]:
+def during(s: Journey, duration_s: float) -> Iterator[None]:
     """Wait until a duration since the planned start is over."""
     s.end = s.begin + duration_s
     while s.t < s.end - 1e-9:
         yield
 
 
-def until(s: Situation, done: Callable[[], bool], expected_s: float, goal: str) -> Iterator[None]:
+def until(s: Journey, done: Callable[[], bool], expected_s: float, goal: str) -> Iterator[None]:
     """Wait until ``done()``; FlightError when it takes much longer than expected."""
     latest = s.t + PATIENCE * expected_s + 60.0
     while not done():
@@ -116,13 +122,13 @@ def _straight(m: cfg.Straight, s: Situation) -> Iterator[None]:
     yield from during(s, m.duration_s)
 
 
-def _climb_while_turning(m: cfg.Climbing, s: Situation) -> None:
+def climb_while_turning(m: cfg.Climbing, s: Situation) -> None:
     if m.climb_rate_mps is not None:
         s.target[ap.VERTICAL_MODE] = ap.HOLD_CLIMB
         s.target[ap.CLIMB] = m.climb_rate_mps
 
 
-def _level_off(m: cfg.Climbing, s: Situation) -> None:
+def level_off(m: cfg.Climbing, s: Situation) -> None:
     if m.climb_rate_mps is not None:
         s.target[ap.ALTITUDE] = s.of(ap.HEIGHT) + height_lead(s, m.climb_rate_mps)
     s.target[ap.VERTICAL_MODE] = ap.HOLD_ALTITUDE
@@ -138,7 +144,7 @@ def bank_at(s: Situation, bank: float) -> None:
     s.target[ap.BANK] = bank
 
 
-def _roll_out_lead(s: Situation) -> float:
+def roll_out_lead(s: Situation) -> float:
     """Heading (rad) that the turn still gains while the wings come level."""
     seconds = 0.5 * abs(s.of(ap.ROLL)) / math.radians(s.aircraft.autopilot.roll_rate_limit_dps) + ROLL_OUT_LAG_S
     return s.turn_rate * seconds
@@ -162,12 +168,12 @@ def _seconds_of_turn(s: Situation, angle: float, bank: float) -> float:
 
 
 def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
-    _climb_while_turning(m, s)
+    climb_while_turning(m, s)
     bank = math.radians(m.bank_deg)
     bank_at(s, bank)
     if m.duration_s is not None:
         yield from during(s, m.duration_s)
-        s.target[ap.HEADING] = wrap(s.of(ap.YAW) + _roll_out_lead(s))
+        s.target[ap.HEADING] = wrap(s.of(ap.YAW) + roll_out_lead(s))
     else:
         side, start = math.copysign(1.0, bank), s.of(ap.YAW)
         if m.heading_change_deg is not None:
@@ -175,7 +181,7 @@ def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
         else:
             change = (side * (math.radians(m.to_heading_deg or 0.0) - start)) % (2.0 * math.pi)
         swept = _Swept(s)
-        near = lambda: side * (swept() + _roll_out_lead(s)) >= change  # noqa: E731
+        near = lambda: side * (swept() + roll_out_lead(s)) >= change  # noqa: E731
         yield from until(s, near, _seconds_of_turn(s, change, bank), f"a heading change of {math.degrees(change):.0f}°")
         s.target[ap.HEADING] = wrap(start + side * change)
         _hold_level_laterally(s, bank)
@@ -185,7 +191,7 @@ def _turn(m: cfg.Turn, s: Situation) -> Iterator[None]:
             return off < math.radians(3) and abs(s.of(ap.ROLL)) < math.radians(8)
 
         yield from until(s, settled, 20.0, f"heading {math.degrees(s.target[ap.HEADING]) % 360:.0f}°")
-    _level_off(m, s)
+    level_off(m, s)
 
 
 def _hold_level_laterally(s: Situation, bank: float) -> None:
@@ -225,42 +231,6 @@ def _vertical(m: cfg.Climb | cfg.Descent, s: Situation) -> Iterator[None]:
     yield from until(s, level, expected, f"a height of {goal:.0f} m")
 
 
-def _loiter(m: cfg.Loiter, s: Situation) -> Iterator[None]:
-    _climb_while_turning(m, s)
-    side = 1.0 if m.direction == "right" else -1.0
-    across = s.course + side * math.pi / 2.0
-    centre = (s.north + m.radius_m * math.cos(across), s.east + m.radius_m * math.sin(across))
-    bank_limit = math.radians(s.aircraft.limits.bank_max_deg)
-    swept, last = 0.0, math.nan
-
-    def circle() -> None:
-        nonlocal swept, last
-        north, east = s.north - centre[0], s.east - centre[1]
-        distance, place = math.hypot(north, east), math.atan2(east, north)
-        if not math.isnan(last):
-            swept += side * wrap(place - last)
-        last = place
-        speed = math.hypot(s.v_north, s.v_east)
-        wanted = place + side * (math.pi / 2.0 + math.atan(2.0 * (distance - m.radius_m) / m.radius_m))
-        feed = side * speed * speed / (G0 * max(distance, 0.7 * m.radius_m))
-        correction = s.aircraft.autopilot.heading * wrap(wanted - s.course) * speed / G0
-        bank_at(s, min(bank_limit, max(-bank_limit, math.atan(feed + correction))))
-
-    def turned() -> bool:
-        circle()
-        return swept >= 2.0 * math.pi * (m.turns or 0.0)
-
-    if m.duration_s is not None:
-        for _ in during(s, m.duration_s):
-            circle()
-            yield
-    else:
-        seconds = 2.0 * math.pi * m.radius_m * (m.turns or 0.0) / max(s.of(ap.AIRSPEED), 1.0)
-        yield from until(s, turned, seconds, f"{m.turns:g} turns of the loiter")
-    s.target[ap.HEADING] = wrap(s.of(ap.YAW) + _roll_out_lead(s))
-    _level_off(m, s)
-
-
 def _s_turn(m: cfg.STurn, s: Situation) -> Iterator[None]:
     half = 0.5 * math.radians(m.heading_change_deg)
     yield from _alternate(m, s, first=half, later=2.0 * half, count=m.legs)
@@ -275,7 +245,7 @@ def _alternate(
     m: cfg.STurn | cfg.FigureEight, s: Situation, first: float, later: float, count: int | None
 ) -> Iterator[None]:
     """Bank to one side until the heading has swept an angle, then to the other, a number of times or for a duration."""
-    _climb_while_turning(m, s)
+    climb_while_turning(m, s)
     bank = math.radians(m.bank_deg)
     seconds = _seconds_of_turn(s, later, bank) + 4.0 * abs(bank) / math.radians(
         s.aircraft.autopilot.roll_rate_limit_dps
@@ -288,13 +258,13 @@ def _alternate(
         side, swept = math.copysign(1.0, s.target[ap.BANK]), _Swept(s)
         angle = first if leg == 0 else later
         done = lambda side=side, swept=swept, angle=angle: (  # noqa: E731
-            side * (swept() + _roll_out_lead(s)) >= angle or s.t >= s.end - 1e-9
+            side * (swept() + roll_out_lead(s)) >= angle or s.t >= s.end - 1e-9
         )
         yield from until(s, done, seconds, f"the end of leg {leg + 1}")
         if s.t >= s.end - 1e-9:
             break
         leg += 1
-    _level_off(m, s)
+    level_off(m, s)
 
 
 def _change_speed(m: cfg.Accelerate | cfg.Decelerate, s: Situation) -> Iterator[None]:
@@ -321,31 +291,7 @@ def _doublet(m: cfg.Doublet, s: Situation) -> Iterator[None]:
     s.target[index] = 0.0
 
 
-def _waypoints(m: cfg.Waypoints, s: Situation) -> Iterator[None]:
-    for number, point in enumerate(m.points, 1):
-        north, east = local(point, s)
-        if point.alt_m is not None:
-            s.target[ap.ALTITUDE] = point.alt_m
-        closest = math.inf
-
-        def reached(north: float = north, east: float = east) -> bool:
-            nonlocal closest
-            to_north, to_east = north - s.north, east - s.east
-            distance = math.hypot(to_north, to_east)
-            closest = min(closest, distance)
-            drift = wrap(s.course - s.of(ap.YAW))
-            s.target[ap.HEADING] = wrap(math.atan2(to_east, to_north) - drift)
-            return distance <= m.radius_m
-
-        seconds = math.hypot(north - s.north, east - s.east) / max(s.of(ap.AIRSPEED), 1.0)
-        try:
-            yield from until(s, reached, seconds, f"waypoint {number}")
-        except FlightError as error:
-            raise FlightError(f"{error}; it came within {closest:.0f} m (radius_m is {m.radius_m:g})") from None
-    s.target[ap.HEADING] = s.of(ap.YAW)
-
-
-def local(point: cfg.Waypoint, s: Situation) -> tuple[float, float]:
+def local(point: cfg.Waypoint, s: Journey) -> tuple[float, float]:
     if point.north_m is not None and point.east_m is not None:
         return point.north_m, point.east_m
     north = math.radians(point.lat_deg or 0.0) - s.origin[0]
@@ -358,11 +304,9 @@ GENERATORS: dict[type, Generator] = {
     cfg.Turn: _turn,
     cfg.Climb: _vertical,
     cfg.Descent: _vertical,
-    cfg.Loiter: _loiter,
     cfg.STurn: _s_turn,
     cfg.FigureEight: _figure_eight,
     cfg.Accelerate: _change_speed,
     cfg.Decelerate: _change_speed,
     cfg.Doublet: _doublet,
-    cfg.Waypoints: _waypoints,
 }

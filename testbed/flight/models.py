@@ -138,11 +138,14 @@ class Correction(Table):
 
 
 @contextmanager
-def clean_copy(model: str, corrections: Sequence[Correction] = ()) -> Iterator[ModelPaths]:
+def clean_copy(
+    model: str, corrections: Sequence[Correction] = (), leave_out: Sequence[str] = ()
+) -> Iterator[ModelPaths]:
     """A temporary copy of a model of the jsbsim package without what opens files and sockets; engines stay where they are.
 
     ``corrections`` are made in the copy, which lies in the cache folder: JSBSim's models are under the GPL, and none is
-    shipped. Raises InputError for a correction that finds nothing to correct, as in another version of the package.
+    shipped; systems whose files are in ``leave_out`` are taken out of it. Raises InputError for a correction that finds
+    nothing to correct, and for a system that is not there, as in another version of the package.
     """
     package = importlib.util.find_spec("jsbsim")
     assert package is not None and package.origin is not None
@@ -154,6 +157,7 @@ def clean_copy(model: str, corrections: Sequence[Correction] = ()) -> Iterator[M
         copy = Path(place) / model
         shutil.copytree(source, copy)
         _correct(copy / f"{model}.xml", corrections)
+        _leave_out(copy / f"{model}.xml", leave_out)
         for file in copy.rglob("*.xml"):
             root = parse(file)
             unwanted = [child for child in root if child.tag in OPENING]
@@ -192,4 +196,24 @@ def _correct(file: Path, corrections: Sequence[Correction]) -> None:
                 f"not the one that 'model.corrections' puts right ({wrong.why})"
             )
         places[0].text = wrong.becomes
+    file.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _leave_out(file: Path, systems: Sequence[str]) -> None:
+    """Take systems out of a model, by the names of their files. Raises InputError where one is not there.
+
+    JSBSim warns of each version of its format but 2.0, which is the only one that there is: a model says so from here on.
+    """
+    if not systems:
+        return
+    root = parse(file)
+    root.set("version", "2.0")
+    for name in systems:
+        found = [child for child in root if child.tag == "system" and child.get("file") == name]
+        if not found:
+            raise InputError(
+                f"{file.name} of this version of jsbsim has no system '{name}', which 'model.leave_out' names"
+            )
+        for child in found:
+            root.remove(child)
     file.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))

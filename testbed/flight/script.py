@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
-from testbed.base.errors import FlightError, TestbedError, tell_user
+from testbed.base.errors import FlightError, InputError, TestbedError, tell_user
 from testbed.data.records import Phase
 from testbed.flight import config as cfg
-from testbed.flight import ground, manoeuvres
+from testbed.flight import ground, manoeuvres, paths
 from testbed.flight.aircraft import Aircraft
-from testbed.flight.config import Approach, FlightConfig, Land, LineUp, Loiter, Park, Straight, TakeOff
+from testbed.flight.config import AnyManoeuvre, Approach, FlightConfig, Land, LineUp, Loiter, Park, TakeOff
 from testbed.physics.earth import G0
 from testbed.physics.earth import A as EARTH_RADIUS
 
@@ -22,16 +22,40 @@ ABOUT_S = 90.0
 """What a take-off, an approach or a landing takes, in the estimate of a flight's length."""
 ABOUT_MPS = 50.0
 """Speed of a flight that began parked, in that estimate, until a manoeuvre states one."""
+LOWEST_CLIMB_M = 30.0
+"""Of a take-off: the gear is up and the climb is established."""
 LONG_S = 20_000.0
 """A longer flight takes above half a minute (about 1000 s of flight in 1 s), which is announced."""
+
+
+GENERATORS = manoeuvres.GENERATORS | paths.GENERATORS | ground.GENERATORS
+"""What an aeroplane can do."""
+Guide = Callable[[AnyManoeuvre], Iterator[None]]
+"""Starts a manoeuvre, which then yields at each tick of guidance."""
 
 
 def script_duration(config: FlightConfig) -> float | None:
     """Length of the flight (s) where the script fixes it, else None."""
     if config.duration_s is not None:
         return config.duration_s
-    durations = [getattr(m, "duration_s", None) for m in config.manoeuvres]
+    durations = [None if getattr(m, "centre", None) else getattr(m, "duration_s", None) for m in config.manoeuvres]
     return None if None in durations else float(sum(durations))  # type: ignore[arg-type]
+
+
+def check_length(config: FlightConfig, about_s: float) -> None:
+    """Refuse a flight that is too long or too short; ``about_s`` is how long its script takes where nothing fixes it."""
+    duration = script_duration(config)
+    expected = about_s if duration is None else duration
+    if expected * config.rate_hz > MOST_SAMPLES:
+        raise FlightError(
+            f"a flight of about {expected:.3g} s at {config.rate_hz:g} Hz has more than the {MOST_SAMPLES:.0e} samples that are kept"
+        )
+    if expected > LONG_S:
+        tell_user(f"the flight lasts about {expected:.0f} s; that takes its time")
+    if duration is not None and round(duration * config.rate_hz) + 1 < FEWEST_SAMPLES:
+        raise FlightError(
+            f"a flight of {duration:g} s at {config.rate_hz:g} Hz is too short: it needs {FEWEST_SAMPLES} samples"
+        )
 
 
 def expected_duration(config: cfg.FlightConfig) -> float:
@@ -55,14 +79,14 @@ def expected_duration(config: cfg.FlightConfig) -> float:
             total += ABOUT_S
         elif isinstance(m, cfg.Waypoints):
             for point in m.points:
-                to = _about(point, config.initial)
+                to = about(point, config.initial)
                 total += math.dist(place, to) / speed
                 place = to
         speed = getattr(m, "to_speed_mps", None) or speed
     return total
 
 
-def _about(point: cfg.Waypoint, start: cfg.InitialFlightState) -> tuple[float, float]:
+def about(point: cfg.Waypoint, start: cfg.InitialFlightState) -> tuple[float, float]:
     """A waypoint north and east of the start (m), on a sphere."""
     if point.north_m is not None and point.east_m is not None:
         return point.north_m, point.east_m
@@ -74,23 +98,28 @@ def _about(point: cfg.Waypoint, start: cfg.InitialFlightState) -> tuple[float, f
 def check_script(config: FlightConfig, aircraft: Aircraft) -> None:
     """Refuse what the aircraft cannot do before it takes off: speeds, banks, loads and climbs beyond its limits."""
     name, limits, speed = config.aircraft, aircraft.limits, config.initial.speed_mps
-    duration = script_duration(config)
-    expected = expected_duration(config) if duration is None else duration
-    if expected * config.rate_hz > MOST_SAMPLES:
-        raise FlightError(
-            f"a flight of about {expected:.3g} s at {config.rate_hz:g} Hz has more than the {MOST_SAMPLES:.0e} samples that are kept"
-        )
-    if expected > LONG_S:
-        tell_user(f"the flight lasts about {expected:.0f} s; that takes its time")
-    if duration is not None and round(duration * config.rate_hz) + 1 < FEWEST_SAMPLES:
-        raise FlightError(
-            f"a flight of {duration:g} s at {config.rate_hz:g} Hz is too short: it needs {FEWEST_SAMPLES} samples"
-        )
+    for number, m in enumerate(config.manoeuvres, 1):
+        if type(m) not in GENERATORS:
+            raise FlightError(
+                f"manoeuvre {number} of {len(config.manoeuvres)} ({m.type}): '{name}' is an aeroplane and cannot do this"
+            )
+    check_length(config, expected_duration(config))
     if not config.initial.parked:
+        if speed == 0.0:
+            raise InputError(
+                f"initial: a flight of '{name}' that begins in the air needs speed_mps above 0; on the ground say parked = true"
+            )
         _check_speed("initial", name, aircraft, speed)
     _check_ground(config, aircraft)
     for number, m in enumerate(config.manoeuvres, 1):
         place = f"manoeuvre {number} of {len(config.manoeuvres)} ({m.type})"
+        if isinstance(m, TakeOff) and m.to_height_m < LOWEST_CLIMB_M:
+            raise FlightError(f"{place}: '{name}' climbs straight ahead to {LOWEST_CLIMB_M:g} m at least (to_height_m)")
+        for point in getattr(m, "points", []):
+            if point.hold_s is not None or point.heading_deg is not None:
+                raise FlightError(f"{place}: hold_s and heading_deg of a point are for multirotors, not for '{name}'")
+            if point.speed_mps is not None:
+                _check_speed(place, name, aircraft, point.speed_mps)
         if aircraft.ground is not None and isinstance(m, TakeOff | Approach):
             speed = aircraft.ground.climb_mps if isinstance(m, TakeOff) else aircraft.ground.final_mps
         wanted = getattr(m, "to_speed_mps", None) or m.speed_mps
@@ -149,8 +178,16 @@ def _check_speed(place: str, name: str, aircraft: Aircraft, speed: float) -> Non
 class Script:
     """Goes through the manoeuvres, keeps their phases, and names the current one in errors."""
 
-    def __init__(self, config: FlightConfig, situation: manoeuvres.Situation) -> None:
-        self.config, self.s = config, situation
+    def __init__(
+        self,
+        config: FlightConfig,
+        situation: manoeuvres.Journey,
+        guide: Guide,
+        rest: AnyManoeuvre,
+    ) -> None:
+        self.config, self.s, self.guide = config, situation, guide
+        self.rest = rest
+        """What a flight does that is longer than its script."""
         self.number = 0
         self.current: Iterator[None] | None = None
         self.begins: list[float] = []
@@ -160,8 +197,14 @@ class Script:
     def _now(self) -> str:
         total = len(self.config.manoeuvres)
         if self.number > total:
-            return f"after manoeuvre {total} of {total} ({self._rest().type})"
+            return f"after manoeuvre {total} of {total} ({self.rest.type})"
         return f"manoeuvre {self.number} of {total} ({self.config.manoeuvres[self.number - 1].type})"
+
+    @property
+    def manoeuvre(self) -> AnyManoeuvre:
+        """The current manoeuvre."""
+        total = len(self.config.manoeuvres)
+        return self.rest if self.number > total else self.config.manoeuvres[max(0, self.number - 1)]
 
     def fail(self, what: str) -> None:
         """Raise FlightError with place and time."""
@@ -181,22 +224,15 @@ class Script:
             if self.number >= len(self.config.manoeuvres):
                 if not open_ended:
                     return False
-                self._begin(self._rest())
+                self._begin(self.rest)
             else:
                 self._begin(self.config.manoeuvres[self.number])
 
-    def _rest(self) -> Straight | Park:
-        """What a flight does that is longer than its script."""
-        if isinstance(self.config.manoeuvres[-1], Park | Land):
-            return Park(type="park", duration_s=200_000.0)
-        return Straight(type="straight", duration_s=200_000.0)
-
-    def _begin(self, manoeuvre: object) -> None:
+    def _begin(self, manoeuvre: AnyManoeuvre) -> None:
         self.number += 1
-        generator = (manoeuvres.GENERATORS | ground.GENERATORS)[type(manoeuvre)]
-        self.current = manoeuvres.guide(manoeuvre, self.s, generator)  # type: ignore[arg-type]
+        self.current = self.guide(manoeuvre)
         self.begins.append(self.s.begin)
-        self.labels.append(manoeuvre.label)  # type: ignore[attr-defined]
+        self.labels.append(manoeuvre.label)
 
     def phases(self, end: float) -> tuple[Phase, ...]:
         """One phase per manoeuvre, cut at the end of the flight."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.base.errors import InputError
-from testbed.flight.aircraft import Aircraft
+from testbed.flight.aircraft import AnyAircraft, Multirotor
 from testbed.flight.config import FlightConfig
 from testbed.flight.models import ModelPaths, clean_copy
 from testbed.flight.undercarriage import Undercarriage
@@ -23,6 +23,9 @@ KILOGRAM_PER_POUND = 0.45359237
 KELVIN_PER_RANKINE = 5.0 / 9.0
 TURBULENCE_MILSPEC = 4
 """JSBSim's Dryden model with its filters in Tustin's form, whose gusts are smoother than those in Euler's (type 3)."""
+TURBULENCE_SLOW = 3
+"""The same in Euler's form, of first order across: at the airspeed of a hover, which changes by as much as the gusts do, the
+second-order filters of Tustin's form swell (across 4.7 m/s rms where MIL-F-8785C wants 1.4, in a flight of ten minutes)."""
 TURBULENCE = {"none": (0.0, 0), "light": (25.0, 3), "moderate": (50.0, 4), "severe": (75.0, 6)}
 """Wind at 20 ft (ft/s) and severity index of the probability of exceedance, MIL-F-8785C."""
 
@@ -52,13 +55,15 @@ STATE = (
 class Simulator:
     """One JSBSim executive, loaded with an aircraft and placed at the flight's initial state."""
 
-    def __init__(self, config: FlightConfig, aircraft: Aircraft, folder: Path, dt: float, seed: int) -> None:
-        self.fdm = _load(aircraft, folder, dt)
+    def __init__(self, config: FlightConfig, aircraft: AnyAircraft, folder: Path, dt: float, seed: int) -> None:
         self._file = folder / "aircraft.toml"
+        self._check_properties(aircraft)
+        self.fdm = _load(aircraft, folder, dt)
         self.run: Callable[[], bool] = self.fdm.run
         self.dt = dt
         self._nodes = self.fdm.get_property_manager().get_node
         self._wind = config.wind
+        self._turbulence = TURBULENCE_SLOW if isinstance(aircraft, Multirotor) else TURBULENCE_MILSPEC
         self.undercarriage = Undercarriage(self.fdm)
         self.integrate(ON_WHEELS if config.initial.parked else IN_THE_AIR)
         self._start(config, aircraft, seed)
@@ -91,11 +96,17 @@ class Simulator:
         self.throttles = [
             self._node(name, f"'model.engines' = {aircraft.model.engines}").set_double_value for name in throttles
         ]
+        motors = aircraft.model.motors if isinstance(aircraft, Multirotor) else []
+        self.motors = [self._node(motor.property, "'model.motors'").set_double_value for motor in motors]
 
     def integrate(self, rules: tuple[int, int, int, int]) -> None:
         """Integrate by `IN_THE_AIR` or `ON_WHEELS` from here on; past derivatives are kept, so there is no start-up."""
         for name, rule in zip(INTEGRATORS, rules, strict=True):
             self.fdm[name] = rule
+
+    def air_density(self) -> float:
+        """Density of the air around it, over that at sea level."""
+        return float(self.fdm["atmosphere/sigma"])
 
     def set_wind(self, share: float) -> None:
         """Let a share (0 to 1) of the steady wind blow."""
@@ -108,7 +119,7 @@ class Simulator:
         if severity:
             self.fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = wind
             self.fdm["atmosphere/turbulence/milspec/severity"] = severity
-            self.fdm["atmosphere/turb-type"] = TURBULENCE_MILSPEC
+            self.fdm["atmosphere/turb-type"] = self._turbulence
 
     def _readers(self, names: list[str]) -> list[Callable[[], float]]:
         return [self._node(name).get_double_value for name in names]
@@ -120,7 +131,13 @@ class Simulator:
             raise InputError(f"{place}: the model has no property '{name}'")
         return node
 
-    def _start(self, config: FlightConfig, aircraft: Aircraft, seed: int) -> None:
+    def _check_properties(self, aircraft: AnyAircraft) -> None:
+        for key in ("setup", "stand_in"):
+            for name in getattr(aircraft.model, key):
+                if name.startswith("simulation/"):
+                    raise InputError(f"{self._file}: 'model.{key}': '{name}' steers JSBSim itself; remove it")
+
+    def _start(self, config: FlightConfig, aircraft: AnyAircraft, seed: int) -> None:
         fdm, initial = self.fdm, config.initial
         fdm["simulation/randomseed"] = 1 + seed % (2**31 - 1)
         fdm["ic/lat-geod-deg"] = initial.lat_deg
@@ -144,13 +161,11 @@ class Simulator:
             fdm["propulsion/set-running"] = -1
             fdm["propulsion/fuel_freeze"] = 1
         for name, value in aircraft.model.setup.items():
-            if name.startswith("simulation/"):
-                raise InputError(f"{self._file}: 'model.setup': '{name}' steers JSBSim itself; remove it")
             self._node(name, "'model.setup'")
             fdm[name] = value
 
 
-def _load(aircraft: Aircraft, folder: Path, dt: float) -> Any:
+def _load(aircraft: AnyAircraft, folder: Path, dt: float) -> Any:
     # JSBSim reads the variable when an executive is made, and prints a banner otherwise
     before = os.environ.get("JSBSIM_DEBUG")
     os.environ["JSBSIM_DEBUG"] = "0"
@@ -166,8 +181,10 @@ def _load(aircraft: Aircraft, folder: Path, dt: float) -> Any:
     fdm.set_debug_level(0)
     fdm.set_dt(dt)  # before the model: its lags, rate limits and filters take the step when they are loaded
     model = aircraft.model
+    for name, value in model.stand_in.items():
+        fdm[name] = value
     with (
-        clean_copy(model.jsbsim, model.corrections)
+        clean_copy(model.jsbsim, model.corrections, model.leave_out)
         if model.shipped
         else nullcontext(ModelPaths(folder, folder, folder)) as paths
     ):

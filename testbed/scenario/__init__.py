@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 Positive = Annotated[float, Field(gt=0)]
 OWN_FILE = f"flight.{OWN_TRACK}"
+PLAN = "flight.plan"
 LONGEST_TIMEOUT_S = 1e8
 """Three years; the timers of the operating system take no infinity."""
 
@@ -421,6 +422,9 @@ def load_scenario(
         data = _overlay(data, _reading_overlay(data, reading, path))
     if OWN_FILE in (overrides or {}) and OWN_TRACK not in data.get("flight", {}):
         data["flight"] = {}  # a file in place of what the scenario flies
+    if PLAN in (overrides or {}) and isinstance(data.get("flight"), dict):
+        for key in ("manoeuvres", "initial"):  # a plan in place of what the scenario flies
+            data["flight"].pop(key, None)
     for key, value in (overrides or {}).items():
         set_key(data, key, value, str(path))
     _inline_parameter_files(data, path)

@@ -71,7 +71,8 @@ def sense_airspeed(
 
     if COLUMN not in trajectory.extra:
         raise InputError(
-            f"[sensors.airspeed] '{trajectory.name}' has no air data (column {COLUMN}); flights of JSBSim have them"
+            f"[sensors.airspeed] '{trajectory.name}' has no air data (column {COLUMN}); aeroplanes that JSBSim flies have them, multirotors "
+            "and what rolls or walks carry no pitot tube"
         )
     spec = config.spec()
     t = sample_times(trajectory, spec.rate_hz)

@@ -22,6 +22,7 @@ VEHICLES = {
     "agile": hard,
     "trainer, whole flight": lambda: None,
     "transport, whole flight": lambda: None,
+    "multirotor": lambda: load_scenario("multirotor").flight,
     "car": lambda: load_scenario("car-drive", overrides={"flight.laps": 1}).flight,
     "rover": lambda: load_scenario("rover").flight,
     "pedestrian": lambda: load_scenario("pedestrian").flight,

@@ -30,7 +30,7 @@ def rows(trajectory, start, end):
 
 
 def test_shipped_aircraft():
-    assert list_aircraft() == ["aerosonde", "agile", "trainer", "transport"]
+    assert list_aircraft() == ["aerosonde", "agile", "multirotor", "trainer", "transport"]
 
 
 @pytest.mark.parametrize(("name", "bank"), [("aerosonde", 50), ("aerosonde", -50), ("transport", 45), ("agile", -75)])

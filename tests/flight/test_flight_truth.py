@@ -69,7 +69,7 @@ def test_truth_stays_with_jsbsim():
     config = flight("aerosonde", 30.0, turn(40.0, 60.0), turn(-40.0, 60.0), straight(80.0), alt=500.0)
     aircraft, folder = load_aircraft("aerosonde")
     simulator = Simulator(config, aircraft, folder, 1.0 / driver.STEP_HZ, 0)
-    pilot = driver._Pilot(config, aircraft, simulator)
+    pilot = driver.Pilot(config, aircraft, simulator)
     pilot.settle(config)
     before = [read() for read in simulator.place[:2]]
     flown = pilot.fly(config)
