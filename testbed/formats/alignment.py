@@ -110,7 +110,7 @@ def align(
     if start == "gnss" and (gnss is None or not len(gnss.t)):
         raise InputError(f"{place}: no fix lies within the IMU's samples from {t:.6g} s on")
     case = _Case(config, imu, gnss, mag, t, place)
-    _known_motion(case, given)
+    _known_motion(case, given, np.inf if reference is None else first_motion.moves_at(reference, t))
     stated = given.attitude if not config.model_fields_set & set(LEVELLING) else None
     attitude, attitude_std = _attitude(case, reference, stated)
     q_nb = np.array(euler_to_quat(*attitude))
@@ -163,7 +163,7 @@ def _from(gnss: GnssFixes, t: float) -> GnssFixes:
     return replace(gnss, **rows, std=None if gnss.std is None else gnss.std[keep])
 
 
-def _known_motion(case: _Case, given: Given) -> None:
+def _known_motion(case: _Case, given: Given, moves_at: float) -> None:
     """Fill in velocity and acceleration at the start, rest, and the gyro biases with their sigmas."""
     spec, gnss = case.imu.spec.gyro, case.gnss
     case.gyro_std = np.repeat(spec.turn_on_bias, 3)
@@ -173,7 +173,7 @@ def _known_motion(case: _Case, given: Given) -> None:
         case.start = first_motion.at_first_fix(gnss)
     if given.attitude is not None:
         return
-    case.rest = first_motion.rest_at_start(case.imu, gnss, case.t, case.config.level_s)
+    case.rest = first_motion.rest_at_start(case.imu, gnss, case.t, case.config.level_s, moves_at)
     if case.rest is not None and given.gyro_bias is None:
         noise = spec.white_noise / np.sqrt(case.rest.span)
         std = float(np.sqrt(noise**2 + spec.gauss_markov_sigma() ** 2 + first_motion.EARTH_RATE**2))

@@ -21,9 +21,9 @@ from testbed.formats.alignment import LEVELLING, Given, align, cut_before, turne
 from testbed.formats.config import RecordingConfig
 from testbed.formats.first_motion import with_derived_velocity
 from testbed.formats.raw import Raw
-from testbed.formats.recording import Recording, reference_on_grid
+from testbed.formats.recording import Recording, mounting, reference_on_grid
 from testbed.formats.table_samples import KINDS
-from testbed.physics.rotations import euler_to_quat, quat_to_matrix
+from testbed.physics.rotations import quat_to_matrix
 
 READERS = {
     "table": "testbed.formats.table_samples",
@@ -32,6 +32,13 @@ READERS = {
     "broad": "testbed.formats.broad",
     "kfgins": "testbed.formats.kfgins",
     "rtklib": "testbed.formats.rtklib",
+    "ardupilot": "testbed.formats.ardupilot",
+    "rosbag": "testbed.formats.rosbag",
+    "mcap": "testbed.formats.rosbag",
+    "nmea": "testbed.formats.nmea",
+    "ubx": "testbed.formats.ubx",
+    "euroc": "testbed.formats.euroc",
+    "kitti": "testbed.formats.kitti",
 }
 """Format -> module with a function ``read(config, folder) -> Raw``."""
 PLACEMENT = ("clock_s", "mounting_deg")
@@ -90,7 +97,7 @@ def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Non
         if (samples := getattr(raw, kind)) is None:
             continue
         table = dict(getattr(config, kind))
-        clock, mounting = (table.pop(key, None) for key in PLACEMENT)
+        clock, angles = (table.pop(key, None) for key in PLACEMENT)
         if kind not in raw.stated and not table and kind in ("imu", "gnss"):
             raise InputError(
                 f"{place}: nothing states how good the {kind} is; give [recording.{kind}] a model of the catalogue or its figures"
@@ -99,8 +106,8 @@ def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Non
             shift = _number(clock, f"[recording.{kind}] clock_s")
             samples = replace(samples, t=samples.t + shift)
             raw.t_start += shift if kind == "imu" else 0.0
-        if mounting is not None:
-            samples = _mounted(kind, samples, mounting)
+        if angles is not None:
+            samples = _mounted(kind, samples, angles)
         field = {key: table.pop(key) for key in magnetic_field.KEYS if kind == "mag" and key in table}
         if kind == "mag":
             raw.field_known = "field_ut" in field or magnetic_field.is_stated(samples.spec, "mag" in raw.stated)
@@ -144,10 +151,7 @@ def _mounted(kind: str, samples: Any, angles: Any) -> Any:
     fields = {"imu": ("gyro", "accel"), "mag": ("field",)}.get(kind)
     if fields is None:
         raise InputError(f"[recording.{kind}] mounting_deg: a {kind} has no axes")
-    numbers = isinstance(angles, list | tuple) and all(isinstance(a, int | float) for a in angles)
-    if not numbers or len(angles) != 3:
-        raise InputError(f"[recording.{kind}] mounting_deg is {shown(angles)}, expected [roll, pitch, yaw]")
-    matrix = np.array(quat_to_matrix(euler_to_quat(*np.radians(angles))))
+    matrix = np.array(quat_to_matrix(mounting(kind, angles)))
     return replace(samples, **{name: getattr(samples, name) @ matrix.T for name in fields})
 
 
