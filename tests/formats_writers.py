@@ -223,6 +223,21 @@ def _message(store: Any, name: str, ns: int, content: dict) -> Any:
     return t[name](head, "base_link", pose, twist)
 
 
+def table_of_imu(log: SensorLog, folder: Path, start: float) -> None:
+    """imu.csv alone, its times counting from an epoch."""
+    import pandas as pd
+
+    from testbed.formats import export_log
+
+    export_log(log, folder, "csv")
+    for path in folder.iterdir():
+        if path.name != "imu.csv":
+            path.unlink()
+    frame = pd.read_csv(folder / "imu.csv")
+    frame["time_s"] += start
+    frame.to_csv(folder / "imu.csv", index=False)
+
+
 def nmea_sentences(log: SensorLog, sigmas: bool = True, date: bool = True) -> list[bytes]:
     """RMC, GGA and GST of each fix, to 1e-7 minutes, as receivers write them."""
     from pynmeagps import GET, NMEAMessage

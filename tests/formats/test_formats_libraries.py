@@ -13,7 +13,7 @@ import pytest
 
 from testbed.base.errors import InputError
 from testbed.data.records import SensorLog, Trajectory
-from testbed.formats import export_log, import_log
+from testbed.formats import import_log
 from testbed.formats.recording import Recording
 from testbed.physics.rotations import attitude_errors
 
@@ -164,23 +164,10 @@ def test_one_of_several_topics(trajectory: Trajectory, log: SensorLog, tmp_path:
     assert np.abs(other.log.imu.gyro - 2.0 * log.imu.gyro[-len(other.log.imu.t) - 10 : -10]).max() < 1e-12
 
 
-def table_of_imu(log: SensorLog, folder: Path, start: float) -> None:
-    """imu.csv alone, its times counting from an epoch."""
-    import pandas as pd
-
-    export_log(log, folder, "csv")
-    for path in folder.iterdir():
-        if path.name != "imu.csv":
-            path.unlink()
-    frame = pd.read_csv(folder / "imu.csv")
-    frame["time_s"] += start
-    frame.to_csv(folder / "imu.csv", index=False)
-
-
 @pytest.mark.parametrize("sigmas", [True, False])
 def test_nmea(sigmas: bool, log: SensorLog, tmp_path: Path) -> None:
     """1e-7 minutes are 1.7e-9 degrees; times of the IMU as doubles since 1970 end at 2.4e-7 s."""
-    table_of_imu(log, tmp_path, writers.START.timestamp())
+    writers.table_of_imu(log, tmp_path, writers.START.timestamp())
     (tmp_path / "x.nmea").write_bytes(b"".join(writers.nmea_sentences(log, sigmas)))
     figures = {} if sigmas else {"gnss": {"model": "Garmin16x"}}
     read = import_log("nmea", tmp_path, imu=IMU, **figures)
@@ -242,7 +229,7 @@ def with_checksum(sentence: bytes) -> bytes:
 
 def test_ubx(log: SensorLog, tmp_path: Path) -> None:
     """Places count 1e-7°, heights and velocities 1 mm."""
-    table_of_imu(log, tmp_path, writers.START.timestamp())
+    writers.table_of_imu(log, tmp_path, writers.START.timestamp())
     (tmp_path / "x.ubx").write_bytes(b"".join(writers.ubx_messages(log)))
     read = import_log("ubx", tmp_path, imu=IMU)
     same_fixes(read, log, E7, 6e-4)
@@ -347,7 +334,7 @@ def test_a_package_that_is_absent_is_named(
     format: str, package: str, extra: str, log, tmp_path: Path, monkeypatch
 ) -> None:
     suffix = {"ardupilot": "bin", "rosbag": "bag", "mcap": "mcap"}.get(format, format)
-    table_of_imu(log, tmp_path, 0.0)
+    writers.table_of_imu(log, tmp_path, 0.0)
     (tmp_path / f"x.{suffix}").write_bytes(b"anything")
     monkeypatch.setitem(sys.modules, package, None)
     for name in list(sys.modules):
@@ -376,7 +363,7 @@ REFUSED = {
 @pytest.mark.parametrize("case", [(f, *rest) for f, cases in REFUSED.items() for rest in cases])
 def test_files_that_are_none(case: tuple[str, str, bytes, str], log: SensorLog, tmp_path: Path) -> None:
     format, name, content, words = case
-    table_of_imu(log, tmp_path, 0.0)
+    writers.table_of_imu(log, tmp_path, 0.0)
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError) as caught:
         import_log(format, tmp_path, imu=IMU)
