@@ -21,7 +21,7 @@ from testbed.data.records import Array, GnssFixes, ImuSamples, InitialState, Mag
 from testbed.formats import first_motion
 from testbed.formats.config import AlignmentConfig
 from testbed.formats.first_motion import Rest, Start
-from testbed.formats.kinematics import from_rotvec, multiply
+from testbed.formats.kinematics import accumulated, from_rotvec, multiply
 from testbed.formats.recording import interpolate_motion
 from testbed.physics import earth
 from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_to_euler, quats_to_matrices
@@ -332,11 +332,9 @@ def _by_mag(case: _Case, f_b: Array, a_n: Array, gravity: float) -> tuple[float,
 def _force_at_start(imu: ImuSamples, window: int, t: float) -> Array:
     """Mean specific force of the first samples, each turned back into the body frame of time ``t``."""
     steps = np.diff(np.concatenate([[t], imu.t[:window]]))[:, None]
-    q, turned = np.array([[1.0, 0.0, 0.0, 0.0]]), np.empty((window, 3))
-    for k in range(window):
-        middle = multiply(q, from_rotvec(0.5 * steps[k : k + 1] * imu.gyro[k : k + 1]))
-        turned[k] = quats_to_matrices(middle)[0] @ imu.accel[k]
-        q = multiply(q, from_rotvec(steps[k : k + 1] * imu.gyro[k : k + 1]))
+    gyro = imu.gyro[:window]
+    middle = multiply(accumulated(from_rotvec(steps * gyro))[:-1], from_rotvec(0.5 * steps * gyro))
+    turned = np.einsum("kij,kj->ki", quats_to_matrices(middle), imu.accel[:window])
     return (turned * steps).sum(axis=0) / steps.sum()
 
 
