@@ -54,6 +54,8 @@ class Fit(NamedTuple):
 def check(raw: Raw) -> list[str]:
     """Refuses turns of another unit or sign; tells a delay that the specification does not account for."""
     assert raw.imu is not None and raw.gnss is not None
+    if len(raw.gnss.t) < FEWEST:
+        return []
     imu, gnss = _thinned(raw.imu), raw.gnss
     turning = turns(imu, gnss) if not raw.gnss_position_only else None
     if turning is not None and abs(turning.similar) > SIMILAR:

@@ -34,6 +34,8 @@ MAG_STD = np.radians(5.0)
 """Heading error of an uncalibrated magnetometer in its vehicle, beyond the specification."""
 MAG_ITERATIONS = 60
 """Heading needs roll and pitch and, in a turn, these need the heading: each round leaves about tan(dip) a/g of the error."""
+MOST_SLOPES = 100
+"""Velocities among which slopes are taken: 5000 pairs."""
 UNKNOWN_STD = np.pi / np.sqrt(3.0)
 REFERENCE_STD = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, *np.radians([0.1, 0.1, 0.5])])
 """Smallest sigma of a start from the reference: m, m/s, rad."""
@@ -240,7 +242,7 @@ def _levelled(case: _Case) -> tuple[float, float, float, Array]:
     config, imu, gnss = case.config, case.imu, case.gnss
     window = max(2, int(np.searchsorted(imu.t, case.t + config.level_s, side="right")))
     span = float(imu.t[:window][-1] - case.t)
-    motion = case.start or _between_fixes(gnss, span)
+    motion = case.start or _between_fixes(case, span)
     if case.rest is not None:
         f_b, motion = case.rest.force, Start(np.zeros(3), np.zeros(3), motion.v_std, 0.0)
     else:
@@ -275,15 +277,32 @@ def _levelled(case: _Case) -> tuple[float, float, float, Array]:
     return roll, pitch, yaw, np.array([level_std, level_std, yaw_std])
 
 
-def _between_fixes(gnss: GnssFixes | None, span: float) -> Start:
-    """Velocity of the first fix, and the mean acceleration over ``span`` s from the velocities."""
+def _between_fixes(case: _Case, span: float) -> Start:
+    """Velocity of the first fix, and the mean acceleration over ``span`` s from the velocities.
+
+    The last velocity less the first, which is the mean of the acceleration exactly, unless the median of the slopes between all
+    pairs (Sen, JASA 63, 1968), which a single wrong velocity does not move, is elsewhere.
+    """
+    gnss = case.gnss
     if gnss is None or not len(gnss.t):
         return Start(np.zeros(3), np.zeros(3), 0.0, 0.0)
-    v_std, a_n = float(gnss.measurement_std()[0, 3]), np.zeros(3)
+    v_std = float(gnss.measurement_std()[0, 3])
     last = int(np.searchsorted(gnss.t, gnss.t[0] + span + 1e-9, side="right")) - 1
-    if last > 0:
-        a_n = (gnss.v_n[last] - gnss.v_n[0]) / (gnss.t[last] - gnss.t[0])
-    return Start(gnss.v_n[0], a_n, v_std, float(np.sqrt(2.0) * v_std / span))
+    if last < 1:
+        return Start(gnss.v_n[0], np.zeros(3), v_std, first_motion.MANOEUVRE)
+    a_n = (gnss.v_n[last] - gnss.v_n[0]) / (gnss.t[last] - gnss.t[0])
+    a_std = float(np.sqrt(2.0) * v_std / span)
+    first, second = np.triu_indices(min(last, MOST_SLOPES) + 1, 1)
+    slopes = (gnss.v_n[second] - gnss.v_n[first]) / (gnss.t[second] - gnss.t[first])[:, None]
+    median = np.median(slopes, axis=0)
+    if np.linalg.norm(a_n - median) > first_motion.MANOEUVRE + 5.0 * a_std:
+        case.notes.append(
+            f"{case.place}: the velocities of the first {span:.2g} s do not agree with one another: the acceleration at the start"
+            f" is the median of their slopes, {np.linalg.norm(median):.2g} m/s², not the first and last one's,"
+            f" {np.linalg.norm(a_n):.2g} m/s²"
+        )
+        a_n = median
+    return Start(gnss.v_n[0], a_n, v_std, a_std)
 
 
 def _chosen_heading(case: _Case, motion: Start) -> str:

@@ -11,8 +11,6 @@ stamped when it arrives, which GPS1_DELAY_MS, where it is set, accounts for.
 
 from __future__ import annotations
 
-import contextlib
-import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +30,7 @@ from testbed.formats.recording import (
     library,
     merged_motion,
     only_file,
+    quiet,
     rate_of,
 )
 from testbed.formats.rtklib import GPS_EPOCH, LEAP_SECONDS
@@ -90,7 +89,7 @@ class _Log:
         self.path, self.letters = path, module.FORMAT_TO_STRUCT
         self.notes: list[str] = []
         try:
-            with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+            with quiet():
                 self.reader = module.DFReader_binary(str(path))
                 self.parameters = self._parameters()
         except InputError:

@@ -6,8 +6,12 @@ time, then every IMU time. SI units and radians, n north-east-down, b forward-ri
 
 from __future__ import annotations
 
+import contextlib
 import importlib
-from collections.abc import Mapping
+import io
+import os
+import sys
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -106,6 +110,22 @@ def library(name: str, package: str, extra: str, what: str) -> Any:
         return importlib.import_module(name)
     except ImportError:
         raise MissingExtra(f"{what} need the package {package}: pip install 'navigation-testbed[{extra}]'") from None
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Keeps to itself what a library prints of a file's damage, in Python or in C: what matters is told in messages and notes."""
+    sys.stdout.flush(), sys.stderr.flush()
+    kept = os.dup(1), os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1), os.dup2(nowhere, 2)
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            yield
+    finally:
+        os.dup2(kept[0], 1), os.dup2(kept[1], 2)
+        for descriptor in (*kept, nowhere):
+            os.close(descriptor)
 
 
 def read_mat(path: Path) -> dict[str, Any]:

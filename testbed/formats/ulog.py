@@ -22,7 +22,7 @@ from testbed.data.records import Array, BaroSamples, GnssFixes, ImuSamples, MagS
 from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 from testbed.formats.config import RecordingConfig
 from testbed.formats.raw import Raw
-from testbed.formats.recording import check_finite, check_place, check_time, library, merged_motion, only_file
+from testbed.formats.recording import check_finite, check_place, check_time, library, merged_motion, only_file, quiet
 
 IMU_TOPICS, GNSS_TOPICS = ("sensor_combined", "vehicle_imu"), ("vehicle_gps_position", "sensor_gps")
 MAG_TOPICS, BARO_TOPICS = ("vehicle_magnetometer", "sensor_mag"), ("vehicle_air_data", "sensor_baro")
@@ -107,7 +107,8 @@ def _open(path: Path, allow_truncated: bool) -> Any:
     pyulog = library("pyulog", "pyulog", "formats", "PX4 logs")
     complete = _ends_on_message(path)
     try:
-        log = pyulog.ULog(str(path), TOPICS, True)
+        with quiet():
+            log = pyulog.ULog(str(path), TOPICS, True)
     except Exception as error:  # pyulog raises anything from TypeError to struct.error on damaged files
         raise InputError(
             f"{path}: not a readable ULog file, corrupt or truncated ({type(error).__name__}: {error})"
