@@ -1,8 +1,8 @@
 """Recorded data in, flights and logs out: one registry of formats, one function for each direction.
 
 In: ``navego`` (.mat structs), ``table`` (CSV or Parquet with units in the column names), ``ulog`` (PX4 flight logs),
-``broad`` (trials of that data set), ``kfgins`` (increments),
-``rtklib`` (.pos beside an IMU table).
+``ardupilot`` (DataFlash), ``rosbag`` and ``mcap`` (ROS 1 and 2), ``broad``, ``euroc`` and ``kitti`` (as these data sets lie),
+``kfgins`` (increments), and the fixes of a receiver's file beside an IMU table: ``rtklib`` (.pos), ``nmea``, ``ubx``.
 Out: ``parquet``, ``csv``, ``navego``, ``kml``. Each format is documented in its module; errors are `InputError`.
 """
 
@@ -37,6 +37,13 @@ FORMATS: dict[str, Format] = {
     "broad": Format("trial of the BROAD data set of attitude references", PARTS["broad"], ".mat"),
     "kfgins": Format("KF-GINS text files: increments, positions, reference", PARTS["kfgins"], ".txt"),
     "rtklib": Format("RTKLIB solution (.pos) beside an IMU table", PARTS["rtklib"], ".pos"),
+    "ardupilot": Format("ArduPilot flight log (DataFlash)", PARTS["ardupilot"], ".bin"),
+    "rosbag": Format("bag of ROS 1, folder or file of ROS 2", PARTS["rosbag"], ".bag"),
+    "mcap": Format("MCAP file of ROS 2", PARTS["mcap"], ".mcap"),
+    "nmea": Format("NMEA 0183 sentences beside an IMU table", PARTS["nmea"], ".nmea"),
+    "ubx": Format("UBX messages of u-blox receivers beside an IMU table", PARTS["ubx"], ".ubx"),
+    "euroc": Format("sequence in EuRoC's layout (imu0, ground truth)", PARTS["euroc"]),
+    "kitti": Format("drive of the KITTI raw data (oxts)", PARTS["kitti"]),
     "csv": Format("CSV with units in the column names", None, ".csv"),
     "parquet": Format("Parquet with units in the column names", None, ".parquet"),
     "kml": Format("KML track for Google Earth, coloured by error", None, ".kml"),
@@ -72,9 +79,16 @@ def load_recording(config: RecordingConfig, folder: str | Path = ".") -> Any:
     The latest few are kept in memory, as flying and sensing both ask for them.
     """
     root = Path(folder) / config.dir
-    watched = [root / f for f in config.files.values()] or (sorted(root.glob("*")) if root.is_dir() else [])
+    named = [root / f for f in config.files.values()] or [root]
+    watched = [p for place in named for p in (_within(place, config.format) if place.is_dir() else [place])]
     state = tuple((str(p), p.stat().st_mtime_ns, p.stat().st_size) for p in watched if p.is_file())
     return _load(config.model_dump_json(exclude_unset=True), str(folder), state)
+
+
+def _within(folder: Path, format: str) -> list[Path]:
+    """Files of a folder that a recording may be made of; data sets keep theirs in folders of their own, beside images."""
+    inner = {"kitti": ("data/*.txt", "*.txt", "oxts/*.txt", "oxts/data/*.txt"), "euroc": ("*/*.csv", "*/*/*.csv")}
+    return sorted(path for pattern in ("*", *inner.get(format, ())) for path in folder.glob(pattern))
 
 
 @functools.lru_cache(maxsize=2)

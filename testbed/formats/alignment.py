@@ -21,7 +21,7 @@ from testbed.data.records import Array, GnssFixes, ImuSamples, InitialState, Mag
 from testbed.formats import first_motion
 from testbed.formats.config import AlignmentConfig
 from testbed.formats.first_motion import Rest, Start
-from testbed.formats.kinematics import from_rotvec, multiply
+from testbed.formats.kinematics import accumulated, from_rotvec, multiply
 from testbed.formats.recording import interpolate_motion
 from testbed.physics import earth
 from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_to_euler, quats_to_matrices
@@ -34,6 +34,8 @@ MAG_STD = np.radians(5.0)
 """Heading error of an uncalibrated magnetometer in its vehicle, beyond the specification."""
 MAG_ITERATIONS = 60
 """Heading needs roll and pitch and, in a turn, these need the heading: each round leaves about tan(dip) a/g of the error."""
+MOST_SLOPES = 100
+"""Velocities among which slopes are taken: 5000 pairs."""
 UNKNOWN_STD = np.pi / np.sqrt(3.0)
 REFERENCE_STD = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, *np.radians([0.1, 0.1, 0.5])])
 """Smallest sigma of a start from the reference: m, m/s, rad."""
@@ -110,7 +112,7 @@ def align(
     if start == "gnss" and (gnss is None or not len(gnss.t)):
         raise InputError(f"{place}: no fix lies within the IMU's samples from {t:.6g} s on")
     case = _Case(config, imu, gnss, mag, t, place)
-    _known_motion(case, given)
+    _known_motion(case, given, np.inf if reference is None else first_motion.moves_at(reference, t))
     stated = given.attitude if not config.model_fields_set & set(LEVELLING) else None
     attitude, attitude_std = _attitude(case, reference, stated)
     q_nb = np.array(euler_to_quat(*attitude))
@@ -163,7 +165,7 @@ def _from(gnss: GnssFixes, t: float) -> GnssFixes:
     return replace(gnss, **rows, std=None if gnss.std is None else gnss.std[keep])
 
 
-def _known_motion(case: _Case, given: Given) -> None:
+def _known_motion(case: _Case, given: Given, moves_at: float) -> None:
     """Fill in velocity and acceleration at the start, rest, and the gyro biases with their sigmas."""
     spec, gnss = case.imu.spec.gyro, case.gnss
     case.gyro_std = np.repeat(spec.turn_on_bias, 3)
@@ -173,7 +175,7 @@ def _known_motion(case: _Case, given: Given) -> None:
         case.start = first_motion.at_first_fix(gnss)
     if given.attitude is not None:
         return
-    case.rest = first_motion.rest_at_start(case.imu, gnss, case.t, case.config.level_s)
+    case.rest = first_motion.rest_at_start(case.imu, gnss, case.t, case.config.level_s, moves_at)
     if case.rest is not None and given.gyro_bias is None:
         noise = spec.white_noise / np.sqrt(case.rest.span)
         std = float(np.sqrt(noise**2 + spec.gauss_markov_sigma() ** 2 + first_motion.EARTH_RATE**2))
@@ -240,7 +242,7 @@ def _levelled(case: _Case) -> tuple[float, float, float, Array]:
     config, imu, gnss = case.config, case.imu, case.gnss
     window = max(2, int(np.searchsorted(imu.t, case.t + config.level_s, side="right")))
     span = float(imu.t[:window][-1] - case.t)
-    motion = case.start or _between_fixes(gnss, span)
+    motion = case.start or _between_fixes(case, span)
     if case.rest is not None:
         f_b, motion = case.rest.force, Start(np.zeros(3), np.zeros(3), motion.v_std, 0.0)
     else:
@@ -275,15 +277,32 @@ def _levelled(case: _Case) -> tuple[float, float, float, Array]:
     return roll, pitch, yaw, np.array([level_std, level_std, yaw_std])
 
 
-def _between_fixes(gnss: GnssFixes | None, span: float) -> Start:
-    """Velocity of the first fix, and the mean acceleration over ``span`` s from the velocities."""
+def _between_fixes(case: _Case, span: float) -> Start:
+    """Velocity of the first fix, and the mean acceleration over ``span`` s from the velocities.
+
+    The last velocity less the first, which is the mean of the acceleration exactly, unless the median of the slopes between all
+    pairs (Sen, JASA 63, 1968), which a single wrong velocity does not move, is elsewhere.
+    """
+    gnss = case.gnss
     if gnss is None or not len(gnss.t):
         return Start(np.zeros(3), np.zeros(3), 0.0, 0.0)
-    v_std, a_n = float(gnss.measurement_std()[0, 3]), np.zeros(3)
+    v_std = float(gnss.measurement_std()[0, 3])
     last = int(np.searchsorted(gnss.t, gnss.t[0] + span + 1e-9, side="right")) - 1
-    if last > 0:
-        a_n = (gnss.v_n[last] - gnss.v_n[0]) / (gnss.t[last] - gnss.t[0])
-    return Start(gnss.v_n[0], a_n, v_std, float(np.sqrt(2.0) * v_std / span))
+    if last < 1:
+        return Start(gnss.v_n[0], np.zeros(3), v_std, first_motion.MANOEUVRE)
+    a_n = (gnss.v_n[last] - gnss.v_n[0]) / (gnss.t[last] - gnss.t[0])
+    a_std = float(np.sqrt(2.0) * v_std / span)
+    first, second = np.triu_indices(min(last, MOST_SLOPES) + 1, 1)
+    slopes = (gnss.v_n[second] - gnss.v_n[first]) / (gnss.t[second] - gnss.t[first])[:, None]
+    median = np.median(slopes, axis=0)
+    if np.linalg.norm(a_n - median) > first_motion.MANOEUVRE + 5.0 * a_std:
+        case.notes.append(
+            f"{case.place}: the velocities of the first {span:.2g} s do not agree with one another: the acceleration at the start"
+            f" is the median of their slopes, {np.linalg.norm(median):.2g} m/s², not the first and last one's,"
+            f" {np.linalg.norm(a_n):.2g} m/s²"
+        )
+        a_n = median
+    return Start(gnss.v_n[0], a_n, v_std, a_std)
 
 
 def _chosen_heading(case: _Case, motion: Start) -> str:
@@ -332,11 +351,9 @@ def _by_mag(case: _Case, f_b: Array, a_n: Array, gravity: float) -> tuple[float,
 def _force_at_start(imu: ImuSamples, window: int, t: float) -> Array:
     """Mean specific force of the first samples, each turned back into the body frame of time ``t``."""
     steps = np.diff(np.concatenate([[t], imu.t[:window]]))[:, None]
-    q, turned = np.array([[1.0, 0.0, 0.0, 0.0]]), np.empty((window, 3))
-    for k in range(window):
-        middle = multiply(q, from_rotvec(0.5 * steps[k : k + 1] * imu.gyro[k : k + 1]))
-        turned[k] = quats_to_matrices(middle)[0] @ imu.accel[k]
-        q = multiply(q, from_rotvec(steps[k : k + 1] * imu.gyro[k : k + 1]))
+    gyro = imu.gyro[:window]
+    middle = multiply(accumulated(from_rotvec(steps * gyro))[:-1], from_rotvec(0.5 * steps * gyro))
+    turned = np.einsum("kij,kj->ki", quats_to_matrices(middle), imu.accel[:window])
     return (turned * steps).sum(axis=0) / steps.sum()
 
 

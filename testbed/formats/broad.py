@@ -20,22 +20,17 @@ from testbed.base.errors import InputError
 from testbed.data.records import Array, ImuSamples, MagSamples, Phase
 from testbed.data.specs import ImuSpec, MagSpec
 from testbed.formats.config import RecordingConfig
-from testbed.formats.kinematics import multiply
+from testbed.formats.frames import FLIP, attitudes, ned_of
 from testbed.formats.raw import Raw
-from testbed.formats.recording import check_finite, existing, read_mat
-from testbed.physics import earth
+from testbed.formats.recording import check_finite, only_file, placed, read_mat
 
 ORIGIN = (np.radians(52.51), np.radians(13.33), 80.0)
 """Latitude, longitude (rad) and height (m) of the recording, Berlin: it matters to gravity and the Earth's rate alone."""
-FLIP = np.array([1.0, -1.0, -1.0])
-"""Sensor to b: half a turn about x."""
-_ENU_TO_NED = np.array([[0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0]])
-_BODY_TO_SENSOR = np.array([[0.0, 1.0, 0.0, 0.0]])
 
 
 def read(config: RecordingConfig, folder: Path) -> Raw:
     """The trial that ``config`` names (part ``trial``; default: the only .mat file of the folder)."""
-    path = _file(folder / config.dir, config)
+    path = only_file(folder / config.dir, config.files, "trial", (".mat",))
     content = read_mat(path)
     gyro, accel, field, quat, place = (
         _rows(path, content, name, width)
@@ -70,15 +65,6 @@ def read(config: RecordingConfig, folder: Path) -> Raw:
     return raw
 
 
-def _file(folder: Path, config: RecordingConfig) -> Path:
-    if "trial" in config.files:
-        return existing(folder / config.files["trial"], "trial")
-    found = sorted(folder.glob("*.mat"))
-    if len(found) != 1:
-        raise InputError(f"{folder}: holds {len(found)} .mat files; name the one to use under files.trial")
-    return found[0]
-
-
 def _rows(path: Path, content: dict[str, Array], name: str, width: int) -> Array:
     if name not in content:
         raise InputError(f"{path}: has no variable '{name}'; it holds {', '.join(sorted(content)) or 'none'}")
@@ -93,10 +79,5 @@ def _motion(t: Array, quat: Array, place: Array, path: Path) -> tuple[Array, ...
     norm = np.linalg.norm(quat, axis=1, keepdims=True)
     if (np.abs(norm - 1.0) > 1e-2).any():
         raise InputError(f"{path}: opt_quat at sample {int(np.argmax(np.abs(norm - 1.0)))} is no unit quaternion")
-    n = len(t)
-    q_nb = multiply(multiply(np.repeat(_ENU_TO_NED, n, axis=0), quat / norm), np.repeat(_BODY_TO_SENSOR, n, axis=0))
-    ned = np.column_stack([place[:, 1], place[:, 0], -place[:, 2]])
-    lat0, lon0, h0 = ORIGIN
-    per_lat, per_lon = earth.metres_per_radian(lat0, h0)
-    v_n = np.gradient(ned, t, axis=0)
-    return t, lat0 + ned[:, 0] / per_lat, lon0 + ned[:, 1] / per_lon, h0 - ned[:, 2], v_n, q_nb
+    ned = ned_of(place)
+    return (t, *placed(ORIGIN, ned), np.gradient(ned, t, axis=0), attitudes(quat / norm))

@@ -20,8 +20,20 @@ PARTS = {
     "broad": ("trial",),
     "kfgins": ("imu", "gnss", "reference"),
     "rtklib": ("imu", "pos", "mag", "baro", "reference"),
+    "ardupilot": ("log",),
+    "rosbag": ("bag",),
+    "mcap": ("bag",),
+    "nmea": ("imu", "nmea", "mag", "baro", "reference"),
+    "ubx": ("imu", "ubx", "mag", "baro", "reference"),
+    "euroc": ("imu", "reference"),
+    "kitti": ("oxts",),
 }
 """Format -> names that ``files`` may use."""
+TABLES = ("table", "rtklib", "nmea", "ubx")
+"""Formats whose IMU is a table."""
+ROS = ("rosbag", "mcap")
+TOPICS = ("imu", "gnss", "mag", "baro", "reference")
+"""Parts that a topic of a bag can be."""
 
 
 class AlignmentConfig(Table):
@@ -87,8 +99,21 @@ class HoldoutConfig(Table):
 class RecordingConfig(Table):
     """``[recording]``. Relative paths start at the scenario's folder."""
 
-    format: Literal["navego", "table", "ulog", "broad", "kfgins", "rtklib"]
-    """How the files are written."""
+    format: Literal[
+        "navego",
+        "table",
+        "ulog",
+        "broad",
+        "kfgins",
+        "rtklib",
+        "ardupilot",
+        "rosbag",
+        "mcap",
+        "nmea",
+        "ubx",
+        "euroc",
+        "kitti",
+    ]
     dir: str = "."
     """The recording's folder."""
     files: dict[str, str] = Field(default_factory=dict)
@@ -97,8 +122,11 @@ class RecordingConfig(Table):
     """table: the file's column -> documented column with unit (a leading minus turns the sign); a sub-table is for one part."""
     mapping: str | None = None
     """table: TOML file with such a ``[columns]`` table."""
+    topics: dict[str, str] = Field(default_factory=dict)
+    """rosbag, mcap: part (imu, gnss, mag, baro, reference) -> topic, where a bag has several of its type."""
     sampling: Literal["interval", "instant"] = "interval"
-    """Whether an IMU sample is a mean over the interval before it or a point value (not for ulog)."""
+    """Whether an IMU sample is a mean over the interval before it or a value at its time. Not for ulog, kfgins and broad;
+    ardupilot, rosbag, mcap, euroc and kitti have values at their times unless this says otherwise."""
     allow_truncated: bool = False
     """ulog: use what is there of a log that was cut off."""
     start_s: float | None = None
@@ -123,8 +151,13 @@ class RecordingConfig(Table):
                 raise ValueError(
                     f"files: '{part}' is no part of a {self.format} recording; {nearest(part, PARTS[self.format])}"
                 )
-        if self.format not in ("table", "rtklib") and (self.columns or self.mapping):
-            raise ValueError(f"columns and mapping are for the format 'table' (and 'rtklib'), not '{self.format}'")
+        if self.format not in TABLES and (self.columns or self.mapping):
+            raise ValueError(f"columns and mapping are for the formats {', '.join(TABLES)}, not '{self.format}'")
+        if self.topics and self.format not in ROS:
+            raise ValueError(f"topics is for the formats {' and '.join(ROS)}, not '{self.format}'")
+        for part in self.topics:
+            if part not in TOPICS:
+                raise ValueError(f"topics: '{part}' is no part of a bag; {nearest(part, TOPICS)}")
         if self.format == "navego" and self.start_s is not None:
             raise ValueError("start_s is not for the format 'navego', whose initial attitude holds at its first sample")
         if self.start_s is not None and self.end_s is not None and self.end_s <= self.start_s:

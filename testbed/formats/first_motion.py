@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from testbed.data.records import Array, GnssFixes, ImuSamples
+from testbed.data.records import Array, GnssFixes, ImuSamples, Trajectory
 from testbed.formats.kinematics import from_rotvec, multiply
 from testbed.physics import earth
 from testbed.physics.rotations import quats_to_matrices
@@ -32,6 +32,8 @@ REST_RATE, REST_FORCE = np.radians(0.3), 0.1
 is 1 °/s, a gentle start 0.3 m/s²."""
 REST_SPEED = 0.3
 """m/s, beside four times the velocity's sigma."""
+MOVED_M, MOVED_RAD = 1.0, np.radians(2.0)
+"""Of a reference: beyond the noise of RTK and of optical systems, whose velocities are differences and noisier."""
 LONGEST_REST_S = 120.0
 """A longer mean gains nothing: a bias instability of hours shows after a minute or two."""
 EARTH_RATE = 7.3e-5
@@ -57,6 +59,21 @@ class Rest(NamedTuple):
     span: float
     gyro: Array
     force: Array
+
+
+def moves_at(reference: Trajectory, t: float) -> float:
+    """When a reference first goes `MOVED_M` or turns `MOVED_RAD` from where it is at ``t``, s; infinity where it never does."""
+    rows = np.flatnonzero(reference.t >= t - 1e-9)
+    if not len(rows):
+        return np.inf
+    first = rows[0]
+    origin = (np.full(len(rows), x[first]) for x in (reference.lat, reference.lon, reference.h))
+    gone = np.column_stack(
+        earth.position_difference(*(x[rows] for x in (reference.lat, reference.lon, reference.h)), *origin)
+    )
+    turned = 2.0 * np.arccos(np.minimum(np.abs(reference.q_nb[rows] @ reference.q_nb[first]), 1.0))
+    moved = (np.linalg.norm(gone, axis=1) > MOVED_M) | (turned > MOVED_RAD)
+    return float(reference.t[rows[np.argmax(moved)]]) if moved.any() else np.inf
 
 
 def with_derived_velocity(gnss: GnssFixes) -> GnssFixes:
@@ -102,8 +119,13 @@ def at_first_fix(gnss: GnssFixes) -> Start:
     return Start(out[1], 2.0 * out[2], float(spread[1].max()), 2.0 * float(spread[2, :2].max()))
 
 
-def rest_at_start(imu: ImuSamples, gnss: GnssFixes | None, t: float, least: float) -> Rest | None:
-    """The rest that a recording begins with, where it lasts ``least`` s; told by IMU and, where there are fixes, by their speed."""
+def rest_at_start(
+    imu: ImuSamples, gnss: GnssFixes | None, t: float, least: float, moves_at: float = np.inf
+) -> Rest | None:
+    """The rest that a recording begins with, where it lasts ``least`` s; told by IMU and, where there are fixes, by their speed.
+
+    ``moves_at`` (s) is when a reference shows motion: to an IMU alone an even turn is like a rest.
+    """
     rate = 1.0 / float(np.median(np.diff(imu.t)))
     size = max(1, round(REST_BLOCK_S * rate))
     count = min(int(LONGEST_REST_S / REST_BLOCK_S), len(imu.t) // size)
@@ -121,6 +143,7 @@ def rest_at_start(imu: ImuSamples, gnss: GnssFixes | None, t: float, least: floa
         far = np.linalg.norm(offsets(gnss), axis=1) > 1.0 + 5.0 * np.linalg.norm(gnss.measurement_std()[:, :3], axis=1)
         if (fast | far).any():
             moved |= ends > gnss.t[np.argmax(fast | far)]
+    moved |= ends > moves_at
     still = int(np.argmax(moved)) if moved.any() else count
     # the second in which the vehicle starts is not whole, and the one before may hold the pull of the clutch
     still = still - 1 if moved.any() else still
@@ -219,6 +242,7 @@ __all__ = [
     "at_first_fix",
     "carried_back",
     "chord",
+    "moves_at",
     "rest_at_start",
     "with_derived_velocity",
 ]

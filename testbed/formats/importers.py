@@ -15,15 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.base.errors import InputError, shown
-from testbed.data.records import Array, GnssFixes, SensorLog, Trajectory
+from testbed.data.records import Array, GnssFixes, ImuSamples, SensorLog, Trajectory
 from testbed.formats import magnetic_field, plausibility
 from testbed.formats.alignment import LEVELLING, Given, align, cut_before, turned
 from testbed.formats.config import RecordingConfig
 from testbed.formats.first_motion import with_derived_velocity
 from testbed.formats.raw import Raw
-from testbed.formats.recording import Recording, reference_on_grid
+from testbed.formats.recording import Recording, mounting, reference_on_grid
 from testbed.formats.table_samples import KINDS
-from testbed.physics.rotations import euler_to_quat, quat_to_matrix
+from testbed.physics.earth import G0
+from testbed.physics.rotations import quat_to_matrix
 
 READERS = {
     "table": "testbed.formats.table_samples",
@@ -32,10 +33,19 @@ READERS = {
     "broad": "testbed.formats.broad",
     "kfgins": "testbed.formats.kfgins",
     "rtklib": "testbed.formats.rtklib",
+    "ardupilot": "testbed.formats.ardupilot",
+    "rosbag": "testbed.formats.rosbag",
+    "mcap": "testbed.formats.rosbag",
+    "nmea": "testbed.formats.nmea",
+    "ubx": "testbed.formats.ubx",
+    "euroc": "testbed.formats.euroc",
+    "kitti": "testbed.formats.kitti",
 }
 """Format -> module with a function ``read(config, folder) -> Raw``."""
 PLACEMENT = ("clock_s", "mounting_deg")
 """Keys of ``[recording.imu]`` and so on that say how the sensor's samples are to be read, not how good it is."""
+BIASES = {"gyro_bias_dps": ("gyro", float(np.radians(1.0))), "accel_bias_mg": ("accel", 1e-3 * G0)}
+"""Keys of ``[recording.imu]``: biases (3,) along the sensor's axes that were measured beforehand, and are taken off."""
 FIELD_YEARS = (2010.0, 2029.9)
 USUAL_YEAR = 2025.0
 """Of the magnetic field where no file tells the date: it turns by 0.1 to 0.2° a year, beside 5° of an uncalibrated compass."""
@@ -90,7 +100,8 @@ def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Non
         if (samples := getattr(raw, kind)) is None:
             continue
         table = dict(getattr(config, kind))
-        clock, mounting = (table.pop(key, None) for key in PLACEMENT)
+        clock, angles = (table.pop(key, None) for key in PLACEMENT)
+        biases = {key: table.pop(key) for key in BIASES if kind == "imu" and key in table}
         if kind not in raw.stated and not table and kind in ("imu", "gnss"):
             raise InputError(
                 f"{place}: nothing states how good the {kind} is; give [recording.{kind}] a model of the catalogue or its figures"
@@ -99,8 +110,10 @@ def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Non
             shift = _number(clock, f"[recording.{kind}] clock_s")
             samples = replace(samples, t=samples.t + shift)
             raw.t_start += shift if kind == "imu" else 0.0
-        if mounting is not None:
-            samples = _mounted(kind, samples, mounting)
+        for key, values in biases.items():
+            samples = _less(samples, key, values)
+        if angles is not None:
+            samples = _mounted(kind, samples, angles)
         field = {key: table.pop(key) for key in magnetic_field.KEYS if kind == "mag" and key in table}
         if kind == "mag":
             raw.field_known = "field_ut" in field or magnetic_field.is_stated(samples.spec, "mag" in raw.stated)
@@ -139,15 +152,21 @@ def _number(value: Any, key: str) -> float:
     return float(value)
 
 
+def _less(imu: ImuSamples, key: str, values: Any) -> ImuSamples:
+    """Samples less a bias that was measured beforehand."""
+    name, unit = BIASES[key]
+    numbers = isinstance(values, list | tuple) and all(isinstance(v, int | float) and np.isfinite(v) for v in values)
+    if not numbers or len(values) != 3:
+        raise InputError(f"[recording.imu] {key} is {shown(values)}, expected the biases [x, y, z]")
+    return replace(imu, **{name: getattr(imu, name) - unit * np.array(values, dtype=np.float64)})
+
+
 def _mounted(kind: str, samples: Any, angles: Any) -> Any:
     """Samples turned from the sensor's axes to b by the sensor's roll, pitch and yaw in the vehicle."""
     fields = {"imu": ("gyro", "accel"), "mag": ("field",)}.get(kind)
     if fields is None:
         raise InputError(f"[recording.{kind}] mounting_deg: a {kind} has no axes")
-    numbers = isinstance(angles, list | tuple) and all(isinstance(a, int | float) for a in angles)
-    if not numbers or len(angles) != 3:
-        raise InputError(f"[recording.{kind}] mounting_deg is {shown(angles)}, expected [roll, pitch, yaw]")
-    matrix = np.array(quat_to_matrix(euler_to_quat(*np.radians(angles))))
+    matrix = np.array(quat_to_matrix(mounting(kind, angles)))
     return replace(samples, **{name: getattr(samples, name) @ matrix.T for name in fields})
 
 

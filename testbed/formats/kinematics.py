@@ -44,6 +44,16 @@ def multiply(p: Array, q: Array) -> Array:
     return np.column_stack([w, v])
 
 
+def accumulated(turns: Array) -> Array:
+    """(N+1,4): the products of none, of the first, of the first two, ... of N quaternions (N,4)."""
+    out = np.vstack([[1.0, 0.0, 0.0, 0.0], turns])
+    reach = 1  # each round doubles how many neighbours a row is the product of (Hillis and Steele, CACM 29(12), 1986)
+    while reach < len(out):
+        out = np.vstack([out[:reach], multiply(out[:-reach], out[reach:])])
+        reach *= 2
+    return out
+
+
 def conjugate(q: Array) -> Array:
     """Inverses of unit quaternions (N,4)."""
     return q * np.array([1.0, -1.0, -1.0, -1.0])

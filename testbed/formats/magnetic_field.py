@@ -14,7 +14,7 @@ import numpy as np
 from testbed.base.errors import InputError, shown
 from testbed.data.records import Array, MagSamples, SensorLog
 from testbed.data.specs import MagSpec
-from testbed.formats.kinematics import from_rotvec, multiply
+from testbed.formats.kinematics import accumulated, from_rotvec, multiply
 from testbed.physics.rotations import quats_to_matrices
 
 KEYS = ("field_ut", "declination_deg")
@@ -92,10 +92,7 @@ def _field_at_start(log: SensorLog, seconds: float) -> Array:
     stop = max(1, int(np.searchsorted(imu.t, start.t + seconds, side="right")))
     steps = np.diff(np.concatenate([[start.t], imu.t[:stop]]))[:, None]
     turns = from_rotvec(steps * (imu.gyro[:stop] - start.gyro_bias))
-    q = np.empty((stop + 1, 4))
-    q[0] = start.q_nb
-    for k in range(stop):
-        q[k + 1] = multiply(q[k : k + 1], turns[k : k + 1])[0]
+    q = multiply(start.q_nb[None], accumulated(turns))
     rows = np.flatnonzero(log.mag.t <= start.t + seconds)
     rows = rows if len(rows) else np.zeros(1, dtype=np.int64)
     grid = np.concatenate([[start.t], imu.t[:stop]])

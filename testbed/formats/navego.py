@@ -13,6 +13,7 @@ specific force against the increments of its reference is 0.1 ± 0.2 ms, where a
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from testbed.data.records import (
 )
 from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 from testbed.formats.config import RecordingConfig
+from testbed.formats.first_motion import EARTH_RATE, rest_at_start
 from testbed.formats.raw import Raw
 from testbed.formats.recording import (
     check_finite,
@@ -42,6 +44,9 @@ from testbed.formats.recording import (
 )
 from testbed.physics.rotations import eulers_to_quats
 
+LEAST_REST_S = 2.0
+ALIKE = 0.1
+"""Of the size: a bias that is drawn within ±``gb_sta`` lies so near to it on all three axes once in 8000 units (0.05³)."""
 STRUCTS = ("imu", "gnss", "ref", "mag", "baro")
 _MARKOV_PEAK = TriadSpec(bias_instability=1.0).gauss_markov_sigma()
 
@@ -65,7 +70,7 @@ def read(config: RecordingConfig, folder: Path) -> Raw:
     if raw.initial is None:
         roll_pitch_yaw = check_finite(imu.vector("ini_align"), imu.place("ini_align"))
         raw.attitude = roll_pitch_yaw, check_finite(imu.vector("ini_align_err"), imu.place("ini_align_err"))
-        raw.gyro_bias = _static_bias(imu, raw)
+        raw.gyro_bias = None if "gyro_bias_dps" in config.imu else _static_bias(imu, raw)
     return raw
 
 
@@ -230,18 +235,38 @@ def _add_reference(raw: Raw, struct: Struct) -> None:
 
 
 def _static_bias(struct: Struct, raw: Raw) -> Array | None:
-    """``gb_sta`` as a signed bias, where one of its values is negative.
+    """``gb_sta`` (3,) where it is a signed bias, and the accelerometers less an ``ab_sta`` that is one.
 
-    NaveGo subtracts it from the gyros. Profiles made from data sheets hold the size of the turn-on bias there, all positive,
-    from which NaveGo draws; that is a sigma.
+    NaveGo's ins_gnss.m subtracts both from the samples. Its noise_sbias.m and profiles made from data sheets hold the size
+    of a turn-on bias there, all positive, within which one is drawn; that is a sigma. A negative value among them, or the
+    mean of a rest at the start that agrees with them, says that they are biases; where nothing does, that is told.
     """
-    values = check_finite(struct.vector("gb_sta", (0.0, 0.0, 0.0)), struct.place("gb_sta"))
-    if not (values < 0.0).any():
-        return None
-    raw.notes.append(
-        f"{struct.place('gb_sta')} has negative values: it is read as the gyros' bias, {values.tolist()} rad/s"
+    gyro, accel = (
+        check_finite(struct.vector(name, (0.0, 0.0, 0.0)), struct.place(name)) for name in ("gb_sta", "ab_sta")
     )
-    return values
+    assert raw.imu is not None
+    if (gyro < 0.0).any() or (accel < 0.0).any():
+        raw.notes.append(
+            f"{struct.place('gb_sta')} or ab_sta has negative values: they are read as the biases of the gyros,"
+            f" {gyro.tolist()} rad/s, and of the accelerometers, {accel.tolist()} m/s², which are taken off"
+        )
+        raw.imu = replace(raw.imu, accel=raw.imu.accel - accel)
+        return gyro
+    if not gyro.any():
+        return None
+    rest = rest_at_start(raw.imu, raw.gnss, raw.t_start, LEAST_REST_S)
+    if rest is not None:
+        if (np.abs(rest.gyro - gyro) > np.maximum(ALIKE * gyro, EARTH_RATE)).any():
+            return None
+        raw.notes.append(
+            f"{struct.place('gb_sta')} is what the gyros show at rest: it is read as their bias, {gyro.tolist()} rad/s"
+        )
+        return gyro
+    raw.notes.append(
+        f"{struct.place('gb_sta')} has positive values alone: they are read as the size (1 sigma) of an unknown bias; if they"
+        " are a bias, which NaveGo subtracts, [recording.imu] gyro_bias_dps and accel_bias_mg take it off"
+    )
+    return None
 
 
 def _text(struct: Struct, field: str) -> str:

@@ -34,8 +34,12 @@ DISTANCE_S = 10.0
 """Over which distances are compared: a metre of position noise is then 0.1 m/s."""
 STRAY_SIGMAS, STRAY_M, STRAY_MPS2 = 20.0, 50.0, 100.0
 """A step off the way by twenty sigma, 50 m and what 10 g make of it is not the vehicle's."""
+SPIKES = {"gyro": (3.0, "rad/s"), "accel": (60.0, "m/s²")}
+"""Off both neighbours by so much, a sample alone turns the levelling of 2 s at 100 Hz by 2°; 6 g is more than any but shocks."""
+SPIKE_FACTOR = 50.0
+"""Times what one sample in a hundred is off its neighbours: vibration and landings are shocks among others."""
 MOST_ROWS = 20_000
-"""Rows of a reference that are compared: the mean of so many says as much as that of all."""
+"""Rows that are compared: the mean or median of so many says as much as that of all."""
 
 
 def check(raw: Raw) -> list[str]:
@@ -51,6 +55,7 @@ def check(raw: Raw) -> list[str]:
         _sigmas(raw)
     if raw.motion is not None:
         _places(raw.motion[1], raw.place("reference"))
+    notes += _spikes(raw)
     _sizes(raw)
     notes += _gravity(raw)
     notes += _gaps(raw)
@@ -194,6 +199,44 @@ def _sigmas(raw: Raw) -> None:
         )
 
 
+def _spikes(raw: Raw) -> list[str]:
+    """Single IMU samples that no motion explains: a flipped bit, a glitch of the bus. Their neighbours' mean takes their place."""
+    imu = raw.imu
+    assert imu is not None
+    notes = []
+    for name, (limit, unit) in SPIKES.items():
+        values = getattr(imu, name)
+        if len(values) < 3 or (values.max() <= limit and values.min() >= -limit):
+            continue
+        large = np.unique(np.flatnonzero(np.abs(values.ravel()) > limit) // 3)
+        usual = float(np.quantile(_off_neighbours(values, np.arange(0, len(values), _stride(imu.t))), 0.99))
+        off = _off_neighbours(values, large)
+        rows = large[off > max(limit, SPIKE_FACTOR * usual)]
+        if not len(rows):
+            continue
+        before, after = _neighbours(rows, len(values))
+        mended = values.copy()
+        mended[rows] = 0.5 * (values[before] + values[after])
+        raw.imu = imu = replace(imu, **{name: mended})
+        notes.append(
+            f"{raw.place('imu')}: sample {rows[0]} ({name}) stands {off.max():.3g} {unit} off the one before and the one after,"
+            f" as no motion does ({len(rows)} such; the mean of its neighbours takes its place): is the file damaged?"
+        )
+    return notes
+
+
+def _neighbours(rows: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows before and after; at the ends the two next to them."""
+    return np.where(rows == 0, 2, rows - 1), np.where(rows == n - 1, n - 3, rows + 1)
+
+
+def _off_neighbours(values: Array, rows: NDArray[np.int64]) -> Array:
+    """Distance of rows of ``values`` (N,3) from the nearer one of their neighbours."""
+    before, after = _neighbours(rows, len(values))
+    here = values[rows]
+    return np.minimum(*(np.linalg.norm(here - values[k], axis=1) for k in (before, after)))
+
+
 def _sizes(raw: Raw) -> None:
     """Angular rates that no gyro measures, and specific force of a wrong unit."""
     imu = raw.imu
@@ -204,7 +247,7 @@ def _sizes(raw: Raw) -> None:
             f"{raw.place('imu')}: one gyro sample in a hundred is above {fastest:.3g} rad/s; are the rates in °/s? Name their unit"
         )
     force = float(np.median(np.linalg.norm(imu.accel[:: _stride(imu.t)], axis=1)))
-    step = float(np.median(np.diff(imu.t)))
+    step = float(np.median(np.diff(imu.t[:MOST_ROWS])))
     for unit, factor in FACTORS.items():
         if 0.8 < force * factor / G0 < 1.25:
             raise InputError(
@@ -242,10 +285,10 @@ def _gravity(raw: Raw) -> list[str]:
         return [
             f"{raw.place('imu')}: the specific force is {force:.3g} m/s² in the middle of its values, gravity is 9.8"
         ]
-    mean = imu.accel.mean(axis=0)
-    if raw.motion is None and mean[2] > 0.5 * G0:
+    mean = float(imu.accel[:: _stride(imu.t), 2].mean())
+    if raw.motion is None and mean > 0.5 * G0:
         return [
-            f"{raw.place('imu')}: the specific force is {mean[2]:+.3g} m/s² along z on average, so z points up (b is"
+            f"{raw.place('imu')}: the specific force is {mean:+.3g} m/s² along z on average, so z points up (b is"
             " forward-right-down); attitudes are those of the sensor as it lies, [recording.imu] mounting_deg turns it"
         ]
     return []

@@ -6,6 +6,12 @@ time, then every IMU time. SI units and radians, n north-east-down, b forward-ri
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import io
+import os
+import sys
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.base.errors import InputError
+from testbed.base.errors import InputError, MissingExtra, shown
 from testbed.data.records import Array, SensorLog, Trajectory
 from testbed.formats.kinematics import conjugate, from_rotvec, implied_imu, multiply, to_rotvec
+from testbed.physics.rotations import euler_to_quat
 
 
 @dataclass(frozen=True)
@@ -83,6 +90,44 @@ def existing(path: Path, what: str) -> Path:
     raise InputError(f"{path}: no such file (wanted for the {what}){found}")
 
 
+def only_file(folder: Path, files: Mapping[str, str], part: str, suffixes: tuple[str, ...]) -> Path:
+    """The file of ``part``: the one that ``files`` names, else the only one of the folder that ends so."""
+    if part in files:
+        return existing(folder / files[part], part)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; the key recording.dir says where the recording lies")
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
+    if len(found) != 1:
+        raise InputError(
+            f"{folder}: holds {len(found)} {' or '.join(suffixes)} files; name the one to use under files.{part}"
+        )
+    return found[0]
+
+
+def library(name: str, package: str, extra: str, what: str) -> Any:
+    """A module of a package that only one format needs. Raises MissingExtra where it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise MissingExtra(f"{what} need the package {package}: pip install 'navigation-testbed[{extra}]'") from None
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Keeps to itself what a library prints of a file's damage, in Python or in C: what matters is told in messages and notes."""
+    sys.stdout.flush(), sys.stderr.flush()
+    kept = os.dup(1), os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1), os.dup2(nowhere, 2)
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            yield
+    finally:
+        os.dup2(kept[0], 1), os.dup2(kept[1], 2)
+        for descriptor in (*kept, nowhere):
+            os.close(descriptor)
+
+
 def read_mat(path: Path) -> dict[str, Any]:
     """Variables of a MATLAB file up to version 7. Raises InputError for one that cannot be read."""
     from scipy.io import loadmat
@@ -128,6 +173,57 @@ def reference_on_grid(grid: Array, motion: tuple[Array, ...], name: str, own_tim
         lat, lon, h, v_n, q_nb = interpolate_motion(inside, t, lat, lon, h, v_n, q_nb)
     f_b, w_ib_b = implied_imu(inside, lat, h, v_n, q_nb)
     return Trajectory(inside, lat, lon, h, v_n, q_nb, f_b, w_ib_b, name=name, own_times=own_times)
+
+
+def interval_means(t: Array, gyro: Array, accel: Array, sampling: str) -> tuple[float, Array, Array, Array]:
+    """Where the first interval begins, and times and means over the intervals before them, of samples (N,), (N,3), (N,3).
+
+    ``sampling`` "interval": the samples are such means. "instant": they are values at their times, and the means are those
+    of the trapezoid rule, one fewer.
+    """
+    if sampling == "instant":
+        return float(t[0]), t[1:], 0.5 * (gyro[1:] + gyro[:-1]), 0.5 * (accel[1:] + accel[:-1])
+    return float(t[0] - np.median(np.diff(t))), t, gyro, accel
+
+
+def mounting(kind: str, angles: Any) -> Array:
+    """Quaternion (4,) that takes a sensor's axes into b, of its roll, pitch and yaw in the vehicle, deg."""
+    numbers = isinstance(angles, list | tuple) and all(isinstance(a, int | float) for a in angles)
+    if not numbers or len(angles) != 3:
+        raise InputError(f"[recording.{kind}] mounting_deg is {shown(angles)}, expected [roll, pitch, yaw]")
+    return np.array(euler_to_quat(*np.radians(angles)))
+
+
+def rate_of(t: Array) -> float:
+    """Samples a second, Hz, in the middle."""
+    return float(np.round(1.0 / np.median(np.diff(t)), 3)) if len(t) > 1 else 1.0
+
+
+def placed(origin: tuple[float, float, float], ned: Array) -> tuple[Array, Array, Array]:
+    """Latitude, longitude (rad), height (m) of points (N,3) in m, n, from an origin; flat, so for rooms and test fields."""
+    from testbed.physics import earth
+
+    lat, lon, h = origin
+    per_lat, per_lon = earth.metres_per_radian(lat, h)
+    return lat + ned[:, 0] / per_lat, lon + ned[:, 1] / per_lon, h - ned[:, 2]
+
+
+def merged_motion(
+    attitude: tuple[Array, Array], place: tuple[Array, Array, Array, Array], velocity: tuple[Array, Array]
+) -> tuple[Array, ...] | None:
+    """t, lat, lon, h, v_n, q_nb at the times of the attitude, from three tables of a log; None where they do not overlap.
+
+    ``attitude``: t, q_nb (N,4); ``place``: t, lat, lon, h; ``velocity``: t, v_n (M,3). Places and velocities are linear
+    between their rows.
+    """
+    t, q_nb = attitude
+    inside = (t >= max(place[0][0], velocity[0][0])) & (t <= min(place[0][-1], velocity[0][-1]))
+    if inside.sum() < 2:
+        return None
+    t = t[inside]
+    v_n = np.column_stack([np.interp(t, velocity[0], velocity[1][:, i]) for i in range(3)])
+    lat, lon, h = (np.interp(t, place[0], x) for x in (place[1], np.unwrap(place[2]), place[3]))
+    return t, lat, lon, h, v_n, q_nb[inside]
 
 
 def interpolate_motion(

@@ -20,11 +20,10 @@ import numpy as np
 from testbed.base.errors import InputError
 from testbed.data.records import Array, GnssFixes
 from testbed.data.specs import GnssSpec
+from testbed.formats import beside
 from testbed.formats.config import RecordingConfig
 from testbed.formats.raw import Raw
-from testbed.formats.recording import check_finite, check_place, check_time, existing
-from testbed.formats.table import Tables, read_mapping
-from testbed.formats.table_samples import samples_of
+from testbed.formats.recording import check_finite, check_place, check_time, rate_of
 
 LEAP_SECONDS = 18.0
 """GPST minus UTC since 2017-01-01 (IERS Bulletin C 52); none was announced since."""
@@ -36,28 +35,12 @@ LLH, XYZ = ("latitude(deg)", "longitude(deg)", "height(m)"), ("x-ecef(m)", "y-ec
 
 def read(config: RecordingConfig, folder: Path) -> Raw:
     """The tables of a folder with the fixes of a .pos file (part ``pos``; default: the only one there)."""
-    root = folder / config.dir
-    columns = read_mapping(folder / config.mapping) if config.mapping else {}
-    files = {part: name for part, name in config.files.items() if part != "pos"}
-    parts = ("imu", "mag", "baro", "reference")
-    tables = Tables(root, files, columns | config.columns, parts)
-    raw = samples_of(tables, config.sampling)
-    path = _file(root, config.files)
-    raw.places["gnss"] = str(path)
-    fixes, position_only, notes = read_pos(path, float(tables.base))
-    raw.gnss, raw.gnss_position_only = fixes, position_only
-    raw.stated.add("gnss")
-    raw.notes += notes
-    return raw
 
+    def fixes_of(path: Path, base: float) -> beside.ReceiverFile:
+        fixes, position_only, notes = read_pos(path, base)
+        return beside.ReceiverFile(fixes, position_only, notes=notes)
 
-def _file(root: Path, files: dict[str, str]) -> Path:
-    if "pos" in files:
-        return existing(root / files["pos"], "pos")
-    found = sorted(root.glob("*.pos"))
-    if len(found) != 1:
-        raise InputError(f"{root}: holds {len(found)} .pos files; name the one to use under files.pos")
-    return found[0]
+    return beside.read(config, folder, "pos", (".pos",), fixes_of)
 
 
 def read_pos(path: Path, base: float = 0.0) -> tuple[GnssFixes, bool, list[str]]:
@@ -99,9 +82,8 @@ def read_pos(path: Path, base: float = 0.0) -> tuple[GnssFixes, bool, list[str]]
         v_std = pick("sdvn", "sdve", "sdvu")
     shares = ", ".join(f"{int((quality == q).sum())} with Q {q:.0f}" for q in np.unique(quality[good]))
     notes.append(f"{path}: {shares}")
-    rate = float(np.round(1.0 / np.median(np.diff(t)), 3)) if n > 1 else 1.0
     typical = np.median(std[good], axis=0)
-    spec = GnssSpec("RTKLIB", rate, float(typical[:2].max()), float(typical[2]))
+    spec = GnssSpec("RTKLIB", rate_of(t), float(typical[:2].max()), float(typical[2]))
     if not position_only:
         spec = replace(spec, velocity_sigma=float(np.median(v_std[good])))
     fixes = GnssFixes(t[good], lat[good], lon[good], h[good], v_n[good], spec, (), np.hstack([std, v_std])[good])

@@ -14,6 +14,7 @@ from testbed.data.records import Array, BaroSamples, GnssFixes, ImuSamples, Init
 from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec
 from testbed.formats.config import RecordingConfig
 from testbed.formats.raw import Raw
+from testbed.formats.recording import interval_means
 from testbed.formats.table import STD, VELOCITY, Tables, read_mapping
 from testbed.sensors.registry import SENSORS
 
@@ -43,11 +44,7 @@ def samples_of(tables: Tables, sampling: str) -> Raw:
         tables.block("imu", [f"accel_{a}" for a in "xyz"]),
     )
     rate = spec["imu"] or ImuSpec("unknown", rate_hz=float(np.round(1.0 / np.median(np.diff(t)), 6)))
-    if sampling == "instant":
-        raw.t_start = float(t[0])
-        t, gyro, accel = t[1:], 0.5 * (gyro[1:] + gyro[:-1]), 0.5 * (accel[1:] + accel[:-1])
-    else:
-        raw.t_start = float(t[0] - np.median(np.diff(t)))
+    raw.t_start, t, gyro, accel = interval_means(t, gyro, accel, sampling)
     if raw.initial is not None:
         raw.t_start = raw.initial.t
     raw.imu = ImuSamples(t, gyro, accel, rate)

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from testbed.base.errors import InputError, MissingExtra
+from testbed.base.errors import InputError
 from testbed.data.records import Array, BaroSamples, GnssFixes, ImuSamples, MagSamples
 from testbed.data.specs import BaroSpec, GnssSpec, ImuSpec, MagSpec, TriadSpec
 from testbed.formats.config import RecordingConfig
 from testbed.formats.raw import Raw
-from testbed.formats.recording import check_finite, check_place, check_time, existing
+from testbed.formats.recording import check_finite, check_place, check_time, library, merged_motion, only_file, quiet
 
 IMU_TOPICS, GNSS_TOPICS = ("sensor_combined", "vehicle_imu"), ("vehicle_gps_position", "sensor_gps")
 MAG_TOPICS, BARO_TOPICS = ("vehicle_magnetometer", "sensor_mag"), ("vehicle_air_data", "sensor_baro")
@@ -56,7 +56,7 @@ Topic = dict[str, Array]
 
 def read(config: RecordingConfig, folder: Path) -> Raw:
     """Sample tables of one .ulg file (part ``log``; default: the only one in the folder)."""
-    return read_file(_file(folder / config.dir, config.files), config.allow_truncated)
+    return read_file(only_file(folder / config.dir, config.files, "log", (".ulg",)), config.allow_truncated)
 
 
 def read_file(path: Path, allow_truncated: bool = False) -> Raw:
@@ -103,25 +103,12 @@ class _Clock:
         return np.asarray((us.astype(np.int64) - self.start) * 1e-6, dtype=np.float64)
 
 
-def _file(folder: Path, files: Mapping[str, str]) -> Path:
-    if "log" in files:
-        return existing(folder / files["log"], "log")
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; the key recording.dir says where the recording lies")
-    found = sorted(folder.glob("*.ulg"))
-    if len(found) != 1:
-        raise InputError(f"{folder}: holds {len(found)} .ulg files; name the one to use under files.log")
-    return found[0]
-
-
 def _open(path: Path, allow_truncated: bool) -> Any:
-    try:
-        from pyulog import ULog
-    except ImportError:
-        raise MissingExtra("PX4 logs need the package pyulog: pip install 'navigation-testbed[formats]'") from None
+    pyulog = library("pyulog", "pyulog", "formats", "PX4 logs")
     complete = _ends_on_message(path)
     try:
-        log = ULog(str(path), TOPICS, True)
+        with quiet():
+            log = pyulog.ULog(str(path), TOPICS, True)
     except Exception as error:  # pyulog raises anything from TypeError to struct.error on damaged files
         raise InputError(
             f"{path}: not a readable ULog file, corrupt or truncated ({type(error).__name__}: {error})"
@@ -355,15 +342,9 @@ def _motion(
         lat, lon, h = _unproject(
             {k: local[k][local_rows].astype(np.float64) for k in ("x", "y", "z", "ref_lat", "ref_lon", "ref_alt")}
         )
-    t = clock.seconds(us)
-    inside = (t >= max(place_t[0], local_t[0])) & (t <= min(place_t[-1], local_t[-1]))
-    if inside.sum() < 2:
-        return None
-    t = t[inside]
-    v_n = np.column_stack([np.interp(t, local_t, local[k][local_keep].astype(np.float64)) for k in ("vx", "vy", "vz")])
-    lat, lon, h = (np.interp(t, place_t, x) for x in (lat, np.unwrap(lon), h + undulation))
     check_place(lat, lon, f"{path}: {names['global_position']}")
-    return t, lat, lon, h, v_n, q[inside]
+    v_n = np.column_stack([local[k][local_keep].astype(np.float64) for k in ("vx", "vy", "vz")])
+    return merged_motion((clock.seconds(us), q), (place_t, lat, lon, h + undulation), (local_t, v_n))
 
 
 def _globally_known(local: Topic, keep: Array) -> Array:

@@ -7,8 +7,9 @@ from pathlib import Path
 import formats_flight
 import numpy as np
 import pytest
-from scipy.io import savemat
+from scipy.io import loadmat, savemat
 
+from testbed.base.errors import InputError
 from testbed.data.records import GnssFixes, ImuSamples
 from testbed.data.specs import GnssSpec, ImuSpec, TriadSpec
 from testbed.formats import export_log, first_motion, import_log
@@ -142,32 +143,68 @@ def test_asking_for_another_heading_aligns_anew(tmp_path: Path) -> None:
     )  # in a banked turn roll and pitch follow the heading, and take it further along
 
 
-def test_a_signed_static_bias_of_navego_is_removed(tmp_path: Path) -> None:
-    """NaveGo's ins_gnss subtracts gb_sta: with a negative value it is a bias, and a level unit stays level."""
+def navego_at_rest(folder: Path, bias: np.ndarray, stated: np.ndarray, ab_sta: np.ndarray) -> None:
+    """A level unit at rest, 20 s: gyros off by ``bias``, accelerometers by ``ab_sta``; the struct states ``stated``."""
     n, one = 2001, np.ones(3)
-    t, bias, lat = np.arange(n) * 0.01, np.array([-0.004, 0.002, -0.005]), np.radians(45.0)
+    t, lat = np.arange(n) * 0.01, np.radians(45.0)
     rate = 7.292115e-5 * np.array([np.cos(lat), 0.0, -np.sin(lat)])
-    imu = {"t": t[:, None], "wb": np.tile(rate + bias, (n, 1)), "fb": np.tile([0.0, 0.0, -9.8062], (n, 1))}
-    imu |= {"arw": 1e-4 * one, "vrw": 1e-3 * one, "gb_sta": bias, "ab_sta": 0.0 * one, "gb_dyn": 4e-5 * one}
+    imu = {"t": t[:, None], "wb": np.tile(rate + bias, (n, 1)), "fb": np.tile(ab_sta - [0.0, 0.0, 9.8062], (n, 1))}
+    imu |= {"arw": 1e-4 * one, "vrw": 1e-3 * one, "gb_sta": stated, "ab_sta": ab_sta, "gb_dyn": 4e-5 * one}
     imu |= {"ab_dyn": 5e-5 * one, "gb_corr": 1e3 * one, "ab_corr": 1e3 * one, "freq": 100.0}
     imu |= {"ini_align": 0.0 * one, "ini_align_err": np.radians(one)}
     at = np.arange(0.0, 20.01, 1.0)
-    column = np.ones((len(at), 1))
-    gnss = {
-        "t": at[:, None],
-        "lat": lat * column,
-        "lon": 0.0 * column,
-        "h": 0.0 * column,
-        "vel": np.zeros((len(at), 3)),
-    }
-    gnss |= {"stdm": [1.0, 1.0, 2.0], "stdv": 0.05 * one, "larm": 0.0 * one, "freq": 1.0}
-    savemat(tmp_path / "imu.mat", {"imu": imu})
-    savemat(tmp_path / "gnss.mat", {"gnss": gnss})
+    one_column = np.ones((len(at), 1))
+    gnss = {"t": at[:, None], "lat": lat * one_column, "lon": 0.0 * one_column, "h": 0.0 * one_column}
+    gnss |= {"vel": np.zeros((len(at), 3)), "stdm": [1.0, 1.0, 2.0], "stdv": 0.05 * one, "larm": 0.0 * one, "freq": 1.0}
+    savemat(folder / "imu.mat", {"imu": imu})
+    savemat(folder / "gnss.mat", {"gnss": gnss})
+
+
+@pytest.mark.parametrize(
+    ("bias", "ab_sta", "words"),
+    [
+        ([-0.004, 0.002, -0.005], [0.0, 0.0, 0.0], "negative values"),
+        ([0.004, 0.002, 0.005], [0.0, 0.0, 0.0], "is what the gyros show at rest"),
+        ([0.004, 0.002, 0.005], [0.2, -0.019, 0.1], "negative values"),
+    ],
+)
+def test_a_static_bias_of_navego_is_removed(bias: list, ab_sta: list, words: str, tmp_path: Path) -> None:
+    """NaveGo's ins_gnss subtracts gb_sta and ab_sta: where they are biases a level unit stays level."""
+    navego_at_rest(tmp_path, np.array(bias), np.array(bias), np.array(ab_sta))
     recording = import_log("navego", tmp_path)
     assert np.array_equal(recording.log.initial.gyro_bias, bias)
-    assert any("negative values" in note for note in recording.notes)
+    assert any(words in note for note in recording.notes)
     corrected = np.degrees((recording.log.imu.gyro - recording.log.initial.gyro_bias).mean(axis=0) * 20.0)
     assert np.abs(corrected).max() < 0.1  # uncorrected it would be 5.7°
+    assert np.abs(recording.log.imu.accel - [0.0, 0.0, -9.8062]).max() < 1e-9
+
+
+def test_a_data_sheets_size_is_no_bias(tmp_path: Path) -> None:
+    """0.005 rad/s all around, and the unit's own bias at rest is another one."""
+    navego_at_rest(tmp_path, np.array([0.001, -0.003, 0.0049]), np.full(3, 0.005), np.zeros(3))
+    recording = import_log("navego", tmp_path)
+    assert not recording.log.initial.gyro_bias.any()
+    assert recording.log.initial.std[12:15] == pytest.approx(0.005)
+    assert not any("gb_sta" in note for note in recording.notes)
+
+
+def test_in_motion_nothing_tells_a_bias_from_a_size(tmp_path: Path) -> None:
+    """Which is said, with the way to take a bias off."""
+    log = formats_flight.make_log(formats_flight.make_trajectory(5.0))
+    export_log(log, tmp_path, "navego")
+    struct = loadmat(tmp_path / "imu.mat")["imu"][0, 0]
+    left = {key: struct[key] for key in struct.dtype.names if key not in ("testbed_spec", "ini_state", "ini_std")}
+    savemat(tmp_path / "imu.mat", {"imu": left})
+    told = import_log("navego", tmp_path)
+    assert any("gb_sta has positive values alone" in note and "gyro_bias_dps" in note for note in told.notes)
+    biases = {"gyro_bias_dps": [0.5, 0.0, -1.0], "accel_bias_mg": [0.0, 10.0, 0.0]}
+    less = import_log("navego", tmp_path, imu=biases)
+    assert not any("gb_sta" in note for note in less.notes)
+    gyro, accel = (np.mean(getattr(told.log.imu, x) - getattr(less.log.imu, x), axis=0) for x in ("gyro", "accel"))
+    assert np.degrees(gyro) == pytest.approx([0.5, 0.0, -1.0])
+    assert accel == pytest.approx([0.0, 0.0980665, 0.0])
+    with pytest.raises(InputError, match=r"gyro_bias_dps is 3, expected the biases \[x, y, z\]"):
+        import_log("navego", tmp_path, imu={"gyro_bias_dps": 3})
 
 
 def test_declination_of_place_and_date_or_of_the_log(tmp_path: Path) -> None:

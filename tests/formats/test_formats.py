@@ -159,7 +159,7 @@ def test_unknown_names_are_refused_with_the_nearest(log: SensorLog, tmp_path: Pa
         (lambda: import_log("table", tmp_path, columns={"wx": "giro_x_dps"}), "did you mean 'gyro_x_dps'"),
         (lambda: import_log("table", tmp_path, mappping="x"), "did you mean 'mapping'"),
         (lambda: import_log("table", tmp_path, columns={"imo": {"x": "y"}}), "did you mean 'imu'"),
-        (lambda: import_log("ulog", tmp_path, columns={"a": "b"}), "columns and mapping are for the format 'table'"),
+        (lambda: import_log("ulog", tmp_path, columns={"a": "b"}), "columns and mapping are for the formats table"),
         (lambda: export_log(log, tmp_path, "kml"), "cannot be exported here"),
     ]
     for call, words in cases:

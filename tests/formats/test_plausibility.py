@@ -207,3 +207,39 @@ def test_findings_stand_in_manifest_and_report(log: SensorLog, trajectory: Traje
     text = "\n".join(f"[{k}]\n{v}" for k, v in scenario.items()) + '\n[[estimators]]\nname = "ins"\n'
     (tmp_path / "own.toml").write_text(text)
     assert any("a gap from 29.99" in note for note in notes_of(load_scenario(tmp_path / "own.toml")))
+
+
+@pytest.mark.parametrize(("column", "value"), [("accel_x_mps2", 900.0), ("gyro_y_radps", -200.0)])
+def test_a_single_sample_that_no_motion_explains(column: str, value: float, log, tmp_path: Path) -> None:
+    """In the levelling, at the end of the file and nowhere else: the start is that of the sound file to 0.01°."""
+    tables(log, None, tmp_path)
+    sound = read(tmp_path).log
+
+    def spoil(frame: pd.DataFrame) -> pd.DataFrame:
+        frame.loc[[100, len(frame) - 1], column] = value
+        return frame
+
+    change(tmp_path, "imu", spoil)
+    spoiled = read(tmp_path)
+    (told,) = [note for note in spoiled.notes if "no motion does" in note]
+    assert "imu.csv: sample 100" in told and "2 such" in told
+    turn = 2.0 * np.arccos(min(1.0, abs(float(spoiled.log.initial.q_nb @ sound.initial.q_nb))))
+    assert np.degrees(turn) < 0.01
+    assert np.abs(spoiled.log.imu.accel).max() < 30.0 and np.abs(spoiled.log.imu.gyro).max() < 1.0
+
+
+def test_one_wrong_velocity_does_not_tilt_the_start(log: SensorLog, tmp_path: Path) -> None:
+    """20 m/s at the last fix of the levelling would be 10 m/s² and 45°; the median of the slopes is noisier by some 2°."""
+    tables(log, None, tmp_path)
+    sound = read(tmp_path).log
+
+    def spoil(frame: pd.DataFrame) -> pd.DataFrame:
+        last = int(np.searchsorted(frame["time_s"], frame["time_s"][0] + 2.0 + 1e-9, side="right")) - 1
+        frame.loc[last, "v_east_mps"] += 20.0
+        return frame
+
+    change(tmp_path, "gnss", spoil)
+    spoiled = read(tmp_path)
+    assert any("do not agree with one another" in note for note in spoiled.notes)
+    turn = 2.0 * np.arccos(min(1.0, abs(float(spoiled.log.initial.q_nb @ sound.initial.q_nb))))
+    assert np.degrees(turn) < 2.0
