@@ -22,6 +22,7 @@ from testbed.base.errors import InputError, TestbedError, nearest, tell_user
 from testbed.base.notes import notes_of
 from testbed.data.records import Trajectory
 from testbed.montecarlo import executors
+from testbed.montecarlo.external import answers_digest
 from testbed.montecarlo.first_run import innovation_notes
 from testbed.montecarlo.folders import check_own
 from testbed.montecarlo.store import FORMAT, KIND, Store, StoreError, batch_of, files_digest, open_result
@@ -114,6 +115,7 @@ def run(
         "scenario": scenario.digest(),
         "plugins": files_digest(setup.plugins),
         "testbed": testbed.__version__,
+        **answers_digest(scenario),
     }
     setup = replace(setup, batch=batch_of(identity))
     check_own(Path(out), KIND)
