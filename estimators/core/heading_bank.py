@@ -18,9 +18,10 @@ from estimators.core.composition import Prepared, make_model, make_recording, ma
 from estimators.core.filter import AUX, Recording
 from estimators.core.propagate import NAV
 from estimators.core.timeline import walk
-from testbed.data.records import ATTITUDE_STATES, NavSolution
+from testbed.base.errors import InputError
+from testbed.data.records import NavSolution, SensorLog
 from testbed.physics import earth
-from testbed.physics.rotations import attitude_errors, quat_multiply, rotvec_to_quat
+from testbed.physics.rotations import attitude_errors, quat_multiply, rotvec_to_quat, wrap
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,15 @@ class _Told:
 def heading_unknown(prepared: Prepared) -> bool:
     """Whether the log starts with a heading that one linearised filter cannot be started with."""
     return bool(prepared.log.initial.std[8] > UNKNOWN_STD)
+
+
+def require_heading(log: SensorLog, who: str) -> None:
+    """Raises InputError where a log starts without a heading: one start is needed to compare filters from it."""
+    if log.initial.std[8] > UNKNOWN_STD:
+        raise InputError(
+            f"{who}: the heading at the start is unknown (1 sigma {np.degrees(log.initial.std[8]):.0f}°), and a search compares filters "
+            "from one start; [recording.initial] yaw_deg gives it"
+        )
 
 
 def run_or_search(prepared: Prepared) -> NavSolution:
@@ -157,7 +167,7 @@ def _taken(merged: Recording, own: Recording, samples: NDArray[np.bool_], events
 
 
 def _spread(merged: Recording, told: list[_Told], weights: Array, snapshots: NDArray[np.intp]) -> None:
-    """Add to the covariance, and to the sigmas up to the next snapshot, what the filters of the bank differ by, in place."""
+    """Add to the covariance, and to the sigmas from each snapshot to the next, what the filters of the bank differ by."""
     answer, n = merged.state[snapshots], merged.covariance.shape[1]
     added = np.zeros((len(snapshots), n, n))
     for entry, weight in zip(told, weights.T, strict=True):
@@ -166,8 +176,10 @@ def _spread(merged: Recording, told: list[_Told], weights: Array, snapshots: NDA
         d = np.where((weight[:, None] > 0.0) & np.isfinite(d), d, 0.0)
         added += weight[:, None, None] * d[:, :, None] * d[:, None, :]
     merged.covariance[...] += added
-    rows = np.clip(np.searchsorted(snapshots, np.arange(len(merged.std))), 0, len(snapshots) - 1)
-    merged.std[...] = np.sqrt(merged.std**2 + np.einsum("kii->ki", added)[rows])
+    latest = np.searchsorted(snapshots, np.arange(len(merged.std)), side="right")
+    before = np.zeros((1, n))  # the first second: all sectors alike
+    before[0, 8] = np.mean(wrap(2.0 * np.pi * np.arange(SECTORS) / SECTORS) ** 2)
+    merged.std[...] = np.sqrt(merged.std**2 + np.concatenate([before, np.einsum("kii->ki", added)])[latest])
 
 
 def _differences(states: Array, answer: Array, n: int) -> Array:
@@ -178,6 +190,3 @@ def _differences(states: Array, answer: Array, n: int) -> Array:
     d[:, 6:NAV] = attitude_errors(np.ascontiguousarray(states[:, 6:AUX]), np.ascontiguousarray(answer[:, 6:AUX]))
     d[:, NAV:] = states[:, AUX:] - answer[:, AUX:]
     return d
-
-
-assert ATTITUDE_STATES[2] == "attitude_down_rad"  # the ninth error state, which the sectors are about

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimators.aiding.gnss import MINIMUM_STD, require_gnss
 from estimators.core.composition import Composition, Prepared, prepare
-from estimators.core.heading_bank import run_or_search
+from estimators.core.heading_bank import require_heading, run_or_search
 from estimators.core.stepwise import Stepwise
 from testbed.base.errors import InputError
 from testbed.data.records import NavSolution, SensorLog, Trajectory
@@ -106,6 +106,7 @@ class IndirectKf:
         from estimators.core.search import Searcher
 
         require_gnss(log, "indirect-kf")
+        require_heading(log, "indirect-kf")
         return Searcher(Composition(), log, reference, stride)
 
 

@@ -95,7 +95,7 @@ def run(
         tell_user(f"{stored} runs are stored in {folder}; tables and report are of the first {used}")
     if (counted := int(result.summary["n"].max())) < used:
         tell_user(f"{used - counted} of {used} runs are copies of others: nothing in them varied, and they count once")
-    print_summary(scenario, result.summary, result.runs)
+    print_summary(scenario, result.summary, result.runs, result.near_pole)
     sys.stdout.flush()
     for note in result.notes:
         tell_user(f"note: {note}")
