@@ -46,6 +46,20 @@ class AlignmentConfig(Table):
     roll_pitch_std_deg: float | None = Field(default=None, gt=0.0, le=180.0)
     yaw_std_deg: float | None = Field(default=None, gt=0.0, le=180.0)
 
+    @model_validator(mode="after")
+    def _all_act(self) -> AlignmentConfig:
+        """What another key takes the effect of is refused, so that a key that is there always acts."""
+        idle = {"attitude = 'reference'": ("heading", "level_s", "crab_deg")} if self.attitude == "reference" else {}
+        if self.yaw_deg is not None:
+            idle["yaw_deg"] = ("heading", "crab_deg")
+        if self.heading in ("mag", "none"):
+            idle[f"heading = '{self.heading}'"] = ("crab_deg",)
+        for reason, keys in idle.items():
+            for key in keys:
+                if key in self.model_fields_set:
+                    raise ValueError(f"{key} would have no effect beside {reason}; leave one of them out")
+        return self
+
 
 class HoldoutConfig(Table):
     """``[recording.holdout]``: windows whose fixes are withheld and scored against; seconds after the start of the log."""
