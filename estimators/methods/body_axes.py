@@ -33,7 +33,7 @@ class Axes(NamedTuple):
     samples: Array
     """(2,6): the last sample and the present one, overwritten."""
     history: NDArray[np.uint8]
-    """(N,): the axes in which each sample was recorded."""
+    """(N,): the axes in which each sample was recorded; empty for a filter that is to stay in its axes."""
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
@@ -112,6 +112,8 @@ def turn_noise(noise):
 def mind_the_pole(model, k):
     """Note the axes of sample ``k``, and change over where the single filter ``model`` has come near the pole of its own."""
     axes, x = model.axes, model.state
+    if k >= axes.history.shape[0]:
+        return
     axes.history[k] = axes.turned[0]
     if near_pole(axes.turned[0], x[6], x[7]):
         sign = -1.0 if axes.turned[0] else 1.0

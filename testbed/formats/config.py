@@ -49,7 +49,9 @@ class AlignmentConfig(Table):
     @model_validator(mode="after")
     def _all_act(self) -> AlignmentConfig:
         """What another key takes the effect of is refused, so that a key that is there always acts."""
-        idle = {"attitude = 'reference'": ("heading", "level_s", "crab_deg")} if self.attitude == "reference" else {}
+        idle: dict[str, tuple[str, ...]] = {}
+        if self.attitude == "reference":
+            idle["attitude = 'reference'"] = ("heading", "level_s", "crab_deg")
         if self.yaw_deg is not None:
             idle["yaw_deg"] = ("heading", "crab_deg")
         if self.heading in ("mag", "none"):
