@@ -2,6 +2,10 @@
 
 ``python reports/drive.py FOLDER`` reads the folder's raw logger file with its time tags and its RTKLIB solution, and prints
 the RMS over the windows of the horizontal error at their end. The start is at rest with a heading that nothing tells.
+
+The first window begins when the car has moved for less than half a minute and the filters have not settled: there alone they
+differ by more than 2 %, and python-ins has its 1.6 m on `indirect-kf` from one figure: it takes the receiver's sigma of the first
+fix for all fixes (with `measurement_noise` of that fix `indirect-kf` ends the window at 21.2 m instead of 22.6 m, as against 21.0 m).
 """
 
 from __future__ import annotations
@@ -90,14 +94,16 @@ def main(arguments: list[str]) -> int:
         scenario = load_scenario(prepared(Path(arguments[0]), Path(place)))
         truth = pipeline.fly(scenario)
         log, _ = pipeline.sense(scenario, truth)
-        print("| filter | RMS of the horizontal error at the end, m | windows |\n| :--- | ---: | ---: |")
+        print("| filter | RMS of the horizontal error at the end, m | without the first window | windows |")
+        print("| :--- | ---: | ---: | ---: |")
         for entry in scenario.estimators:
             solution = make_estimator(entry.name, **entry.params).run(log)
             table = pipeline.score(scenario, truth, solution, log)
             ends = table[(table["metric"] == "final_position_2d_m") & table["window"].str.match(r"outage_\d+$")][
                 "value"
             ]
-            print(f"| {entry.row} | {np.sqrt(np.mean(ends**2)):.2f} | {len(ends)} |")
+            total, settled = np.sqrt(np.mean(ends**2)), np.sqrt(np.mean(ends.iloc[1:] ** 2))
+            print(f"| {entry.row} | {total:.2f} | {settled:.2f} | {len(ends)} |")
     return 0
 
 

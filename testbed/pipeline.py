@@ -157,7 +157,7 @@ def sense(
         log = load_recording(scenario.recording, scenario.folder).log
         if scenario.recording.holdout is not None:
             log = holdout.withhold(log, _withheld_windows(scenario, log, run))
-        return log, None
+        return replace(log, run=run), None
     from testbed.sensors import sense_flight
 
     if scenario.sensors is None:
@@ -165,7 +165,8 @@ def sense(
     settings = scenario.monte_carlo
     seed = settings.seed if seed is None else seed
     with _named(scenario, "sensors"):
-        return sense_flight(scenario.sensors, scenario.initial, trajectory, seed, run, vary=settings.vary)
+        log, errors = sense_flight(scenario.sensors, scenario.initial, trajectory, seed, run, vary=settings.vary)
+    return replace(log, run=run), errors
 
 
 def windows_of(scenario: Scenario, trajectory: Trajectory, log: SensorLog | None = None) -> list[Window]:

@@ -12,6 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.timeline import inner, steps
+from estimators.methods.body_axes import Axes
 from estimators.methods.direct_kernels import Inputs, Work, antenna, begin, stretch
 from estimators.methods.motion_models import N_STATES, Motion, advance
 
@@ -26,6 +27,7 @@ class Coasting(NamedTuple):
     state: Array
     """(15,), overwritten."""
     work: Work
+    axes: Axes
     states: Array
     """(N,15): the state after each IMU sample, overwritten."""
 

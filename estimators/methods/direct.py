@@ -1,7 +1,8 @@
 """`direct-ekf`, `stekf`, `rstekf`: loosely coupled INS/GNSS by 15-state total-state extended Kalman filters.
 
 The IMM-RSTEKF paper (2023) with the accelerated motion model alone; steps in `direct_kernels`. Inside: position in
-metres about the start, Euler angles (|pitch| below about 85°); at the edges the bench's conventions. SI, radians, NED.
+metres about the start, Euler angles (of axes that are switched above a pitch of 80°, see `body_axes`); at the edges the
+bench's conventions. SI, radians, NED.
 """
 
 from __future__ import annotations
@@ -18,14 +19,18 @@ from estimators.core.composition import SNAPSHOT_INTERVAL_S
 from estimators.core.recording import Recording
 from estimators.core.strong_tracking import FILTERS
 from estimators.core.timeline import Timeline, make_timeline, walk
+from estimators.methods.body_axes import HALF, Axes, near_pole, turn_noise, turn_setting, turned_angles
 from estimators.methods.direct_kernels import MEASUREMENTS, Ekf, Inputs, Tracking, make_work
 from estimators.methods.motion_models import ACCELERATED, Motion, Setting
 from testbed.base.errors import InputError
 from testbed.data.records import STATE_NAMES, InitialState, Innovations, NavSolution, SensorLog
 from testbed.physics import earth
-from testbed.physics.rotations import euler_error_matrix, eulers_to_quats, quat_to_euler, wrap
+from testbed.physics.rotations import euler_error_matrix, eulers_to_quats, quat_multiply, quat_to_euler, wrap
 
 Array = NDArray[np.float64]
+
+TURN = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+"""From b to b' of `body_axes`."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +139,8 @@ class DirectProblem:
     """Of the accelerated model."""
     reference: tuple[float, float, float]
     keep: Recording
+    axes: Axes
+    """At the start; the history is of the last filter that ran."""
 
     @classmethod
     def of(
@@ -143,10 +150,13 @@ class DirectProblem:
         gnss, imu, first = require_gnss(log, name), log.imu, log.initial
         per_radian = earth.metres_per_radian(first.lat, first.h)
         model = noise_model(log)
-        x, p = _start(first, model.covariance)
+        x, p, axes = _start(first, model.covariance, len(imu.t))
         place, lever = np.array([first.lat, first.h, *per_radian]), np.array(gnss.spec.lever_arm_b, dtype=float)
-        setting = Setting(place, model.bias_mean, model.decay, lever)
+        setting = Setting(place, np.array(model.bias_mean), model.decay, lever)
         noise = np.append(model.q * np.repeat(noise_scales, 3) ** 2, 0.0)
+        if axes.turned[0]:
+            turn_setting(setting, 1.0)
+            turn_noise(noise)
         fix_t = gnss.t - gnss.spec.latency_s
         fixes = fix_t >= first.t - 1e-7
         position = earth.position_difference(gnss.lat, gnss.lon, gnss.h, first.lat, first.lon, first.h)
@@ -165,7 +175,22 @@ class DirectProblem:
             Motion(ACCELERATED, setting, noise, np.zeros(3)),
             (first.lat, first.lon, first.h),
             make_keep(imu.t, int(fixes.sum())),
+            axes,
         )
+
+    def motion_of_run(self) -> Motion:
+        """``motion`` with arrays that a filter may turn to other axes."""
+        (model, setting, noise, held) = self.motion
+        return Motion(
+            model,
+            setting._replace(centre=setting.centre.copy(), lever=setting.lever.copy()),
+            noise.copy(),
+            held.copy(),
+        )
+
+    def axes_of_run(self) -> Axes:
+        """``axes`` for a filter that starts."""
+        return self.axes._replace(turned=self.axes.turned.copy(), samples=np.zeros((2, 6)))
 
     def timeline(self) -> Timeline:
         """The time line at its start."""
@@ -182,18 +207,20 @@ class DirectProblem:
         to_metres = np.ones((used, MEASUREMENTS))
         k = np.minimum(np.searchsorted(self.t, self.gnss_t[:used]), len(self.t) - 1)
         to_metres[:, :2] = stretch[k, :2]
+        covariance = _to_rotation_vector(self.keep.covariance, states[rows], stretch[rows])
+        q_nb, biases, std, covariance = in_b(states, self.keep.std * stretch, covariance, self.axes.history, rows)
         return NavSolution(
             self.t,
             lat,
             wrap(self.reference[1] + states[:, 1] / place[3]),
             h,
             states[:, 3:6],
-            eulers_to_quats(states[:, 6:9]),
-            accel_bias=states[:, 9:12],
-            gyro_bias=states[:, 12:15],
-            std=self.keep.std * stretch,
+            q_nb,
+            accel_bias=biases[:, :3],
+            gyro_bias=biases[:, 3:],
+            std=std,
             covariance_t=self.t[rows],
-            covariance=_to_rotation_vector(self.keep.covariance, states[rows], stretch[rows]),
+            covariance=covariance,
             innovations={
                 "gnss": Innovations(
                     self.gnss_t[:used],
@@ -210,7 +237,8 @@ def make_ekf(task: DirectProblem, filter_name: str, forgetting: float, threshold
     """The filter at the start of a task."""
     tracking = Tracking(FILTERS[filter_name], forgetting, threshold, np.zeros(MEASUREMENTS + 1))
     theta = np.full(len(task.gnss_t), np.nan)
-    return Ekf(task.inputs, task.motion, tracking, task.x.copy(), task.p.copy(), make_work(), task.keep, theta)
+    arrays = task.x.copy(), task.p.copy(), make_work(), task.axes_of_run(), task.keep, theta
+    return Ekf(task.inputs, task.motion_of_run(), tracking, *arrays)
 
 
 def make_keep(t: Array, fixes: int) -> Recording:
@@ -222,13 +250,40 @@ def make_keep(t: Array, fixes: int) -> Recording:
     return Recording(1, rows[0], rows[1], every, snapshots, *nu)
 
 
-def _start(first: InitialState, covariance: Array) -> tuple[Array, Array]:
-    """State (15,), and its covariance (15,15) with Euler angles instead of a rotation vector."""
+def _start(first: InitialState, covariance: Array, samples: int) -> tuple[Array, Array, Axes]:
+    """State (15,), its covariance (15,15) with Euler angles instead of a rotation vector, and the axes that both are in."""
     euler = quat_to_euler(np.asarray(first.q_nb, float))
+    turned = near_pole(False, euler[0], euler[1])
     x = np.concatenate([np.zeros(3), first.v_n, euler, first.accel_bias, first.gyro_bias]).astype(float)
-    to_euler = np.eye(15)
-    to_euler[6:9, 6:9] = np.linalg.inv(np.array(euler_error_matrix(*euler)))
-    return x, to_euler @ covariance @ to_euler.T
+    to_state = np.eye(15)
+    if turned:
+        x[6:9] = turned_angles(*euler, 1.0)
+        for k in (9, 12):
+            x[k : k + 3] = TURN @ x[k : k + 3]
+            to_state[k : k + 3, k : k + 3] = TURN
+    to_state[6:9, 6:9] = np.linalg.inv(np.array(euler_error_matrix(*x[6:9])))
+    axes = Axes(np.array([turned], dtype=np.uint8), np.zeros((2, 6)), np.zeros(samples, dtype=np.uint8))
+    return x, to_state @ covariance @ to_state.T, axes
+
+
+def in_b(
+    states: Array, std: Array, covariance: Array, history: NDArray[np.uint8], rows: slice
+) -> tuple[Array, Array, Array, Array]:
+    """q_nb (N,4), biases (N,6), sigmas (N,15) and snapshots (K,15,15, of ``rows``) of what was recorded in changing axes."""
+    q_nb, biases, turned = eulers_to_quats(states[:, 6:9]), states[:, 9:15], history.astype(bool)
+    if not turned.any():
+        return q_nb, biases, std, covariance
+    biases, std, covariance = biases.copy(), std.copy(), covariance.copy()
+    q = np.array(quat_multiply.py_func(q_nb[turned].T, (HALF, 0.0, HALF, 0.0))).T
+    q_nb[turned] = q
+    back = np.eye(15)
+    for k in (9, 12):
+        biases[turned, k - 9 : k - 6] = biases[turned, k - 9 : k - 6] @ TURN
+        std[turned, k : k + 3] = std[turned, k : k + 3][:, ::-1]
+        back[k : k + 3, k : k + 3] = TURN.T
+    snapshots = turned[rows][: len(covariance)]
+    covariance[snapshots] = back @ covariance[snapshots] @ back.T
+    return q_nb, biases, std, covariance
 
 
 def _to_rotation_vector(snapshots: Array, states: Array, stretch: Array) -> Array:

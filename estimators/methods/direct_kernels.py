@@ -18,6 +18,7 @@ from estimators.core.recording import note_sample, note_update
 from estimators.core.strapdown import coning_sculling
 from estimators.core.timeline import inner, steps
 from estimators.core.update import innovation_covariance, update, whiten
+from estimators.methods.body_axes import Axes, load, mind_the_pole
 from estimators.methods.motion_models import N_STATES, Motion, Step, add_process_noise, advance, transition
 from testbed.physics import earth
 from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_to_matrix, wrap
@@ -99,8 +100,9 @@ class Ekf(NamedTuple):
     """(15,), overwritten, as is ``p`` (15,15)."""
     p: Array
     work: Work
+    axes: Axes
     keep: Any
-    """An `estimators.core.recording.Recording`."""
+    """An `estimators.core.recording.Recording`, whose rows are in the axes of the time."""
     theta: Array
     """(E,): test statistic of each fix, overwritten."""
 
@@ -251,10 +253,11 @@ def wrap_angles(x):
 def begin(model, k, whole):
     """Open IMU sample ``k``: coning and sculling of its interval (s), biases of the state removed."""
     x, corrections = model.state, model.work.corrections
+    load(model.axes, model.inputs.imu, k)
     if k == 0:
         corrections[:] = 0.0
         return
-    now, last = model.inputs.imu[k], model.inputs.imu[k - 1]
+    last, now = model.axes.samples[0], model.axes.samples[1]
     coning, sculling = coning_sculling(
         ((now[0] - x[12]) * whole, (now[1] - x[13]) * whole, (now[2] - x[14]) * whole),
         ((now[3] - x[9]) * whole, (now[4] - x[10]) * whole, (now[5] - x[11]) * whole),
@@ -272,7 +275,7 @@ def stretch(model, k, dt, part):
     work = model.work
     for i in range(6):
         work.part[i] = part * work.corrections[i]
-    return Step(model.inputs.imu[k], work.part, dt)
+    return Step(model.axes.samples[1], work.part, dt)
 
 
 @inner
@@ -300,10 +303,17 @@ def predict(model, k, dt, part):
 def correct(model, k, e):
     """Use fix ``e``, which lies within IMU sample ``k``."""
     inputs = model.inputs
-    seen = inputs.z[e], inputs.r[e], inputs.imu[k]
+    seen = inputs.z[e], inputs.r[e], model.axes.samples[1]
     theta, _, fading = take_fix(model.tracking, model.state, model.p, seen, model.motion.setting, model.work)
     model.theta[e] = theta
     note_update(model.keep, model, e, MEASUREMENTS, fading)
 
 
-steps(Ekf, begin, predict, correct, record)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def end(model, k):
+    """Keep sample ``k``, and stay away from the pole of the Euler angles."""
+    record(model, k)
+    mind_the_pole(model, k)
+
+
+steps(Ekf, begin, predict, correct, end)

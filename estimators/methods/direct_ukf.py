@@ -48,5 +48,5 @@ class DirectUkf(DirectFilter):
 def make_ukf(task: DirectProblem, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0) -> Ukf:
     """The filter at the start of a task."""
     spread, theta = make_spread(15, alpha, beta, kappa), np.full(len(task.gnss_t), np.nan)
-    arrays = (task.x.copy(), task.p.copy(), make_work(), make_points(), task.keep, theta)
-    return Ukf(task.inputs, task.motion, spread, *arrays)
+    arrays = (task.x.copy(), task.p.copy(), make_work(), make_points(), task.axes_of_run(), task.keep, theta)
+    return Ukf(task.inputs, task.motion_of_run(), spread, *arrays)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from estimators.aiding import AIDINGS
 from estimators.blocks import BLOCKS
-from estimators.core.composition import Composition, Prepared, prepare, run
+from estimators.core.composition import Composition, Prepared, prepare
+from estimators.core.heading_bank import likeliest_start, run_or_search
 from estimators.core.smoother import smooth
 from estimators.core.stepwise import Stepwise
 from estimators.policies import POLICIES, positive
@@ -91,7 +92,7 @@ class Eskf:
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it lacks what a part needs."""
         prepared = self.prepared(log)
-        return smooth(prepared) if self.smooth else run(prepared)
+        return smooth(likeliest_start(prepared)) if self.smooth else run_or_search(prepared)
 
     def start(self, log: SensorLog) -> Stepwise:
         """The filter at the start of a log, to be led step by step. Raises InputError as `run` does, and with ``smooth``."""

@@ -195,7 +195,7 @@ class ImmEkf(DirectFilter):
         interact(modes, branches, mixing)
         return Bank(
             task.inputs,
-            task.motion.setting,
+            task.motion_of_run().setting,
             branches,
             modes,
             (Tracking(0, self.forgetting, chi_square_threshold(self.significance), np.zeros(0)), self._aiding()),
@@ -204,6 +204,7 @@ class ImmEkf(DirectFilter):
             task.p.copy(),
             mixing,
             make_work(),
+            task.axes_of_run(),
             task.keep,
             np.full((len(task.gnss_t), 3, count), np.nan),
         )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from estimators.core.recording import note_update
 from estimators.core.timeline import SAME_TIME, inner, steps
 from estimators.core.update import update
+from estimators.methods.body_axes import Axes, near_pole, turn_noise, turn_setting, turn_state
 from estimators.methods.direct_kernels import (
     MEASUREMENTS,
     Inputs,
@@ -120,6 +121,7 @@ class Bank(NamedTuple):
     p: Array
     mixing: Mixing
     work: Work
+    axes: Axes
     keep: Any
     figures: Array
     """(E,3,B): mode probability, test statistic, fading factor of each fix, overwritten."""
@@ -265,6 +267,12 @@ def aid_with_angles(x, p, seen, setting, aiding, work):
     wrap_angles(x)
 
 
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def without_course(aiding):
+    """The same, but for the yaw, which no speed is enough for."""
+    return Aiding(aiding.tilt_variance, aiding.course_variance, aiding.gravity_tolerance, aiding.rate_limit, np.inf)
+
+
 @njit(cache=True, nogil=True, _nrt=False)
 def mixture_innovation(weights, residuals, covariances, residual, covariance):
     """Innovation and its covariance (6,6) of the mixture of branches, whose predictions differ."""
@@ -319,7 +327,9 @@ def correct(model, k, e):
     """Use fix ``e``, which lies within IMU sample ``k``, in every branch; then the branches interact."""
     inputs, branches, modes, mixing, work = model.inputs, model.branches, model.modes, model.mixing, model.work
     tracking, aiding = model.options
-    seen, figures = (inputs.z[e], inputs.r[e], inputs.imu[k]), model.figures[e]
+    seen, figures = (inputs.z[e], inputs.r[e], model.axes.samples[1]), model.figures[e]
+    if model.axes.turned[0]:  # the course is an angle of b only
+        aiding = without_course(aiding)
     s = work.s.reshape((MEASUREMENTS, MEASUREMENTS))
     for j in range(branches.models.shape[0]):
         x, p = branches.states[j], branches.covariances[j]
@@ -347,6 +357,21 @@ def record(model, k):
     else:
         combine_stored(weights, states, covariances, model.state, model.p)
     record_state(model, k)
+    _mind_the_pole(model, k)
+
+
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _mind_the_pole(model, k):
+    """As `body_axes.mind_the_pole`: all branches change over where their mixture is near the pole of its angles."""
+    axes, x, branches = model.axes, model.state, model.branches
+    axes.history[k] = axes.turned[0]
+    if near_pole(axes.turned[0], x[6], x[7]):
+        sign = -1.0 if axes.turned[0] else 1.0
+        for j in range(branches.models.shape[0]):
+            turn_state(branches.states[j], branches.covariances[j], sign)
+            turn_noise(branches.noise[j])
+        turn_setting(model.setting, sign)
+        axes.turned[0] = 1 - axes.turned[0]
 
 
 steps(Bank, begin, predict, correct, record)

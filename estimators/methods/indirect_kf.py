@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.aiding.gnss import MINIMUM_STD, require_gnss
-from estimators.core.composition import Composition, Prepared, prepare, run
+from estimators.core.composition import Composition, Prepared, prepare
+from estimators.core.heading_bank import require_heading, run_or_search
 from estimators.core.stepwise import Stepwise
 from testbed.base.errors import InputError
 from testbed.data.records import NavSolution, SensorLog, Trajectory
@@ -73,7 +74,7 @@ class IndirectKf:
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no GNSS."""
-        return run(self.prepared(log))
+        return run_or_search(self.prepared(log))
 
     def start(self, log: SensorLog) -> Stepwise:
         """The filter at the start of a log, to be led step by step. Raises InputError when it has no GNSS."""
@@ -105,6 +106,7 @@ class IndirectKf:
         from estimators.core.search import Searcher
 
         require_gnss(log, "indirect-kf")
+        require_heading(log, "indirect-kf")
         return Searcher(Composition(), log, reference, stride)
 
 

@@ -6,7 +6,7 @@ accelerometer bias (m/s²) and gyro bias (rad/s) in b. Order of `testbed.data.re
 
 ``place`` (4,) is (lat, h, metres per radian of latitude, of longitude) of a fixed reference: position states are scaled
 latitude, longitude and height, so nothing is lost far from the reference. All models share the attitude kinematics,
-which leave out neither Earth nor transport rate. Euler angles limit every model to |pitch| below about 85°.
+which leave out neither Earth nor transport rate. Euler angles have a pole at a pitch of ±90°: `body_axes` keeps away from it.
 """
 
 from __future__ import annotations

@@ -14,7 +14,8 @@ import numpy as np
 
 from estimators.aiding.ranges import SLOW_ERRORS
 from estimators.blocks.satellites import observations
-from estimators.core.composition import Composition, Prepared, prepare, run
+from estimators.core.composition import Composition, Prepared, prepare
+from estimators.core.heading_bank import likeliest_start, run_or_search
 from estimators.core.smoother import smooth
 from estimators.core.stepwise import Stepwise
 from estimators.policies import fraction
@@ -72,7 +73,8 @@ class TightKf:
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no pseudoranges."""
-        return smooth(self.prepared(log)) if self.smooth else run(self.prepared(log))
+        prepared = self.prepared(log)
+        return smooth(likeliest_start(prepared)) if self.smooth else run_or_search(prepared)
 
     def start(self, log: SensorLog) -> Stepwise:
         """The filter at the start of a log, to be led step by step. Raises InputError when it has no pseudoranges."""

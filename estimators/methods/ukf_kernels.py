@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from estimators.core.recording import note_update
 from estimators.core.timeline import inner, steps
 from estimators.core.update import cholesky, whiten
-from estimators.methods.direct_kernels import MEASUREMENTS, Inputs, Work, antenna, begin, record, stretch, wrap_angles
+from estimators.methods.body_axes import Axes
+from estimators.methods.direct_kernels import MEASUREMENTS, Inputs, Work, antenna, begin, end, stretch, wrap_angles
 from estimators.methods.motion_models import N_STATES, Motion, add_process_noise, advance, transition
 from testbed.physics.rotations import wrap
 
@@ -61,6 +62,7 @@ class Ukf(NamedTuple):
     p: Array
     work: Work
     points: Points
+    axes: Axes
     keep: Any
     theta: Array
 
@@ -181,7 +183,7 @@ def correct(model, k, e):
     residual, s, predicted = work.residual, work.s.reshape((MEASUREMENTS, MEASUREMENTS)), work.white
     sigma_points(x, p, model.spread.width, model.points.factor, points)
     for i in range(points.shape[0]):
-        antenna(points[i], inputs.imu[k], model.motion.setting, readings[i])
+        antenna(points[i], model.axes.samples[1], model.motion.setting, readings[i])
     unscented_moments(readings, weights, 0, 0, predicted, s)
     for i in range(MEASUREMENTS):
         s[i, i] += inputs.r[e, i]
@@ -194,4 +196,4 @@ def correct(model, k, e):
     note_update(model.keep, model, e, MEASUREMENTS, 1.0)
 
 
-steps(Ukf, begin, predict, correct, record)
+steps(Ukf, begin, predict, correct, end)

@@ -7,7 +7,7 @@ Stretches are ranges of IMU rows. Coordinates, frames and units as `direct.Direc
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from estimators.methods.direct import Array, DirectProblem, make_ekf, make_keep
 from estimators.methods.direct_kernels import MEASUREMENTS, Ekf
 from estimators.methods.direct_ukf import make_ukf
 from estimators.methods.ukf_kernels import Ukf
+from testbed.base.errors import InputError
 
 Kind = Literal["ekf", "ukf"]
 
@@ -68,7 +69,7 @@ class WorkingCopy:
     @classmethod
     def of(cls, task: DirectProblem, kind: Kind) -> WorkingCopy:
         """The copy at the start of the task, which keeps what it finds there."""
-        return cls(task, make_ukf(task) if kind == "ukf" else make_ekf(task, "ekf", 1.0, np.inf), task.timeline())
+        return cls(task, _in_b(task, make_ukf(task) if kind == "ukf" else _ekf(task)), task.timeline())
 
     @property
     def row(self) -> int:
@@ -87,7 +88,7 @@ class WorkingCopy:
 
     def fork(self) -> WorkingCopy:
         """A second copy that starts here. It runs free, for which the EKF's mechanization is that of both filters."""
-        model = make_ekf(self.task, "ekf", 1.0, np.inf)
+        model = _in_b(self.task, _ekf(self.task))
         model = model._replace(state=self.x.copy(), p=self.p.copy(), keep=make_keep(self.task.t, 0))
         return WorkingCopy(self.task, model, self._own_line(self.task.gnss_t))
 
@@ -105,7 +106,9 @@ class WorkingCopy:
         """Run the EKF's mechanization alone up to, not including, ``row``; returns states (rows,15). P stays behind."""
         first, model = self.row, self.model
         self._use(NO_FIXES)
-        walk(self.line, Coasting(model.inputs, model.motion, model.state, model.work, model.keep.state), row)
+        walk(
+            self.line, Coasting(model.inputs, model.motion, model.state, model.work, model.axes, model.keep.state), row
+        )
         states: Array = model.keep.state[first:row]
         return states
 
@@ -121,6 +124,17 @@ class WorkingCopy:
     def _own_line(self, event_t: Array) -> Timeline:
         """A time line with these events that stands where this copy does."""
         return self.line._replace(event_t=event_t, now=self.line.now.copy(), place=self.line.place.copy())
+
+
+def _ekf(task: DirectProblem) -> Ekf:
+    return make_ekf(task, "ekf", 1.0, np.inf)
+
+
+def _in_b(task: DirectProblem, model: Any) -> Any:
+    """A filter that stays in the axes of b: networks are shown its Euler angles. Raises InputError for a start near their pole."""
+    if task.axes.turned[0]:
+        raise InputError("networks see Euler angles, which say nothing at the start: its pitch is above 80°")
+    return model._replace(axes=model.axes._replace(history=np.zeros(0, dtype=np.uint8)))
 
 
 KEPT = ("innovation", "innovation_covariance", "fading")

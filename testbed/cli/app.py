@@ -183,6 +183,14 @@ def run_command(
         bool, typer.Option("--report/--no-report", help="Render the report; the tables are always written.")
     ] = True,
     plugin: PluginOption = None,
+    external: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--external",
+            metavar="DIR",
+            help="Folder of logs (sense --runs) with answers of other programs, which become rows.",
+        ),
+    ] = None,
 ) -> None:
     """Fly, sense, estimate, score over many seeds; print the table and write the report."""
     from testbed.cli import commands
@@ -208,6 +216,7 @@ def run_command(
         report=report,
         plugins=plugin or [],
         offered=offered,
+        external=external or [],
     )
 
 
@@ -234,11 +243,14 @@ def sense_command(
     variant: VariantOption = None,
     settings: SetOption = None,
     seed: SeedOption = None,
+    runs: Annotated[
+        str | None, typer.Option(help="Logs of so many runs, for filters in any language (see 'run --external').")
+    ] = None,
 ) -> None:
-    """Fly and record: the trajectory and one sensor log."""
+    """Fly and record: the trajectory and one sensor log, or with --runs the logs of a Monte Carlo."""
     from testbed.cli import commands
 
-    commands.sense(_loader(scenario, profile, variant, settings, seed)({}), out)
+    commands.sense(_loader(scenario, profile, variant, settings, seed)({}), out, runs)
 
 
 @app.command("allan")
@@ -455,12 +467,16 @@ def explain_command(
 @app.command("new")
 def new_command(
     kind: Annotated[
-        str, typer.Argument(help="estimator, policy, scenario or aircraft.", autocompletion=completion.starting_files)
+        str,
+        typer.Argument(
+            help="estimator, c-filter, octave-filter, policy, scenario or aircraft.",
+            autocompletion=completion.starting_files,
+        ),
     ],
     name: Annotated[str, typer.Argument(help="Its name; the file goes into this folder.")],
     like: Annotated[str | None, typer.Option("--like", help="The aircraft to start from (default: aerosonde).")] = None,
 ) -> None:
-    """A starting file that works as it is: an estimator, a policy, a scenario, or a copy of an aircraft."""
+    """A starting file that works as it is: an estimator or a filter in C or Octave, a policy, a scenario, or a copy of an aircraft."""
     from testbed.cli.templates import command_for, new_file
 
     path = new_file(kind, name, like=like)

@@ -41,11 +41,12 @@ def run(
     cap: int | None,
     report: bool = True,
     offered: Sequence[str] = (),
+    external: Sequence[Path] = (),
     **options: Any,
 ) -> None:
     """``testbed run``: the Monte Carlo, the table on screen, the report. ``load`` makes the scenario from overrides.
 
-    ``offered`` are the estimators that plug-ins brought.
+    ``offered`` are the estimators that plug-ins brought, ``external`` the folders of logs that other programs answered.
     """
     import testbed.montecarlo.runner
     from testbed.montecarlo.readings import KIND as READINGS
@@ -53,7 +54,13 @@ def run(
     from testbed.montecarlo.sweep import first_point
     from testbed.report import preload, render
 
-    scenario = _choose_estimators(load(first_point(sweep or [])), estimators)  # which may complete the settings
+    if external and runs == "auto":
+        raise InputError("--external: only so many runs have answers; give --runs a number in place of auto")
+
+    def loaded(*arguments: Any) -> Scenario:
+        return _choose_estimators(load(*arguments), estimators, external)
+
+    scenario = loaded(first_point(sweep or []))  # which may complete the settings
     unused = [name for name in offered if name not in {entry.name for entry in scenario.estimators}]
     if unused and estimators is None:
         tell_user(f"no row of {scenario.name} uses {', '.join(unused)}: add --estimators +{',+'.join(unused)}")
@@ -66,11 +73,11 @@ def run(
 
         auto = testbed.montecarlo.runner.Auto(width, cap or CAP, min(FIRST, cap or CAP))
         count = auto if runs in (None, "auto") else _run_count(runs)
-        _readings(lambda name: _choose_estimators(load({}, name), estimators), out, count, report, **options)
+        _readings(lambda name: loaded({}, name), out, count, report, **options)
         return
     count = testbed.montecarlo.runner.Auto(width, cap or AUTO_CAP) if runs == "auto" else _run_count(runs)
     if sweep:
-        _sweep(lambda point: _choose_estimators(load(point), estimators), sweep, folder, runs=count, **options)
+        _sweep(loaded, sweep, folder, runs=count, **options)
         return
     _announce_compilation()
     if not options.get("resume") and (earlier := _stored_runs(folder)):
@@ -88,7 +95,7 @@ def run(
         tell_user(f"{stored} runs are stored in {folder}; tables and report are of the first {used}")
     if (counted := int(result.summary["n"].max())) < used:
         tell_user(f"{used - counted} of {used} runs are copies of others: nothing in them varied, and they count once")
-    print_summary(scenario, result.summary, result.runs)
+    print_summary(scenario, result.summary, result.runs, result.near_pole)
     sys.stdout.flush()
     for note in result.notes:
         tell_user(f"note: {note}")
@@ -163,11 +170,17 @@ def _run_count(runs: str | None) -> int | None:
     return validate(MonteCarloConfig, {"runs": count}, "--runs").runs
 
 
-def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
+def _choose_estimators(scenario: Scenario, names: str | None, answered: Sequence[Path] = ()) -> Scenario:
     """Keep the named rows; a name that is no row of the scenario but an estimator becomes a row with defaults.
 
-    Names that begin with ``+`` come beside all rows of the scenario. A row that a setting changed must be among them.
+    Names that begin with ``+`` come beside all rows of the scenario. A row that a setting changed must be among them. The
+    external filters of the folders ``answered`` have a row in any case.
     """
+    own = len(scenario.estimators)
+    if answered:
+        from testbed.montecarlo.external import with_answers
+
+        scenario = with_answers(scenario, answered)
     if names is None:
         return scenario
     from testbed.data.registry import list_estimators
@@ -187,6 +200,7 @@ def _choose_estimators(scenario: Scenario, names: str | None) -> Scenario:
         chosen.append(rows.get(name) or EstimatorConfig(name=name))
     if not chosen:
         raise InputError("--estimators: name at least one")
+    chosen += [entry for entry in scenario.estimators[own:] if entry not in chosen]
     kept = {entry.row for entry in chosen}
     for place in [key.split(".")[1] for key in scenario.settings if key.startswith("estimators.")]:
         row = place if (number := position_of(place)) is None else scenario.estimators[number].row
@@ -251,13 +265,22 @@ def fly(scenario: Scenario, out: Path | None) -> None:
     )
 
 
-def sense(scenario: Scenario, out: Path | None) -> None:
+def sense(scenario: Scenario, out: Path | None, runs: str | None = None) -> None:
     """``testbed sense``."""
+    folder = out or Path("results") / f"{scenario.name}-log{'' if runs is None else 's'}"
+    check_free(folder)
+    if (count := _run_count(runs)) is not None:
+        from testbed.montecarlo.external import ANSWERS, run_name, write_logs
+
+        with fresh_folder(folder) as scratch, progress_line("logs") as show:
+            counts = write_logs(scenario, scratch, count, show)
+        print(f"{', '.join(f'{n} {kind}' for kind, n in counts.items())} samples of {count} runs: {folder}")
+        print(f"a filter called NAME answers run 0 in {folder / ANSWERS / 'NAME' / run_name(0)}.csv, and so on; then")
+        print(f"testbed run with the same scenario, --runs {count} and --external {folder} takes the answers in")
+        return
     from testbed import pipeline
     from testbed.formats import export_log, export_trajectory
 
-    folder = out or Path("results") / f"{scenario.name}-log"
-    check_free(folder)
     trajectory = pipeline.fly(scenario)
     log, _ = pipeline.sense(scenario, trajectory)
     with fresh_folder(folder) as scratch:
@@ -265,8 +288,8 @@ def sense(scenario: Scenario, out: Path | None) -> None:
         log.save(scratch / "log")
         export_log(log, scratch / "csv", "csv", reference=trajectory)
         export_log(log, scratch / "mat", "navego", reference=trajectory)
-    counts = ", ".join(f"{len(frame)} {name}" for name, frame in log.frames().items())
-    print(f"{counts} samples: {folder}")
+    counts = {name: len(frame) for name, frame in log.frames().items()}
+    print(f"{', '.join(f'{n} {kind}' for kind, n in counts.items())} samples: {folder}")
 
 
 def allan(log: Path, out: Path | None, sensor: str = "mine", mapping: Path | None = None) -> None:

@@ -57,7 +57,9 @@ def formats(incomplete: str) -> list[str]:
 
 def starting_files(incomplete: str) -> list[str]:
     """What ``testbed new`` writes."""
-    return [name for name in ("estimator", "policy", "scenario", "aircraft") if name.startswith(incomplete)]
+    from testbed.cli.templates import STARTED
+
+    return [name for name in STARTED if name.startswith(incomplete)]
 
 
 def _tables(ctx: typer.Context, key: str) -> Any:

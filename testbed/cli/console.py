@@ -18,11 +18,8 @@ if TYPE_CHECKING:
 
 LEFT_OUT = ("rmse_attitude_deg",)
 """Compared in reports, not on a narrow screen."""
-TABLE_METRICS = {
-    metric: f"{short_label(metric)} {unit(metric)}"
-    for metric in COMPARED
-    if metric.startswith("rmse_") and metric not in LEFT_OUT
-}
+SHOWN = {metric: f"{short_label(metric)} {unit(metric)}" for metric in COMPARED if metric.startswith("rmse_")}
+TABLE_METRICS = {metric: label for metric, label in SHOWN.items() if metric not in LEFT_OUT}
 
 
 def usable_streams() -> None:
@@ -89,12 +86,15 @@ def progress_line(what: str) -> Iterator[Callable[[int, int], None]]:
     yield tell
 
 
-def print_summary(scenario: Scenario, summary: pd.DataFrame, runs: pd.DataFrame) -> None:
-    """The comparative RMSE table: mean over runs in the window ``all``, best of each column marked."""
+def print_summary(scenario: Scenario, summary: pd.DataFrame, runs: pd.DataFrame, near_pole: bool = False) -> None:
+    """The comparative RMSE table: mean over runs in the window ``all``, best of each column marked.
+
+    ``near_pole``: with the attitude error as one rotation, where Euler angles say little.
+    """
     from rich.console import Console
     from rich.table import Table
 
-    chosen = summary[(summary["window"] == "all") & summary["metric"].isin(list(TABLE_METRICS))]
+    chosen = summary[(summary["window"] == "all") & summary["metric"].isin(list(SHOWN if near_pole else TABLE_METRICS))]
     wide = chosen.pivot(index="estimator", columns="metric", values="mean")
     statuses = runs.groupby("estimator")["status"].agg(lambda s: int((s != "ok").sum()))
     counted, made = int(summary["n"].max() or 0), runs["run"].nunique()
@@ -104,9 +104,9 @@ def print_summary(scenario: Scenario, summary: pd.DataFrame, runs: pd.DataFrame)
         title_justify="left",
     )
     table.add_column("estimator")
-    columns = [metric for metric in TABLE_METRICS if metric in wide]
+    columns = [metric for metric in SHOWN if metric in wide]
     for metric in columns:
-        table.add_column(TABLE_METRICS[metric], justify="right")
+        table.add_column(SHOWN[metric], justify="right")
     table.add_column("failed", justify="right")
     best = wide.min()
     for entry in scenario.estimators:

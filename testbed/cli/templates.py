@@ -1,4 +1,4 @@
-"""Starting points: ``testbed new estimator|policy|scenario|aircraft NAME`` writes one that works as it is.
+"""Starting points: ``testbed new estimator|c-filter|octave-filter|policy|scenario|aircraft NAME`` writes one that works as it is.
 
 The files under ``templates/`` are themselves valid; only the names in them are replaced. An aircraft starts as a copy of
 a shipped one.
@@ -21,13 +21,13 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([_-][A-Za-z0-9]+)*")
 
 
 def new_file(kind: str, name: str, folder: Path = Path(), like: str | None = None) -> Path:
-    """Write the starting file of a ``kind`` (estimator, policy, scenario or aircraft) into ``folder`` and return its path.
+    """Write the starting file of a ``kind`` (one of `KINDS`, or aircraft) into ``folder`` and return its path.
 
     An aircraft is a folder, a copy of the shipped aircraft ``like``. Raises InputError for an unknown kind, a name that
     is malformed or taken, and a file that exists.
     """
-    if kind not in (*KINDS, "aircraft"):
-        raise InputError(f"no starting file for '{kind}'; {nearest(kind, [*KINDS, 'aircraft'])}")
+    if kind not in STARTED:
+        raise InputError(f"no starting file for '{kind}'; {nearest(kind, STARTED)}")
     if not NAME.fullmatch(name):
         raise InputError(f"'{name}': a name is letters and digits, words joined by '-' or '_', for example my-{kind}")
     if kind == "aircraft":
@@ -70,11 +70,21 @@ def _scenario(name: str) -> tuple[str, str]:
     return f"{name}.toml", (TEMPLATES / "scenario.toml").read_text(encoding="utf-8").replace("my-scenario", name)
 
 
+def _program(suffix: str, name: str) -> tuple[str, str]:
+    """A filter in another language, which answers the logs of ``testbed sense --runs``."""
+    text = (TEMPLATES / f"filter{suffix}").read_text(encoding="utf-8")
+    return f"{name}{suffix}", text.replace("my-filter", name)
+
+
 KINDS: dict[str, Callable[[str], tuple[str, str]]] = {
     "estimator": partial(_module, "estimator"),
+    "c-filter": partial(_program, ".c"),
+    "octave-filter": partial(_program, ".m"),
     "policy": partial(_module, "policy"),
     "scenario": _scenario,
 }
+STARTED = (*KINDS, "aircraft")
+"""What ``testbed new`` writes."""
 
 
 def _aircraft(path: Path, like: str) -> Path:
@@ -98,4 +108,6 @@ def command_for(kind: str, path: Path, name: str) -> str:
         return f"testbed fly SCENARIO --set flight.aircraft=./{path}"
     if kind == "scenario":
         return f"testbed run {path}"
+    if path.suffix in (".c", ".m"):
+        return "testbed sense SCENARIO --runs N, and what the first lines of the file say"
     return f"testbed run quickstart --plugin {path} --estimators {name},indirect-kf --runs 5"

@@ -17,7 +17,7 @@ class Estimator(Protocol):
     """What the bench asks of a method under test.
 
     It may declare the sensors that it uses as a class attribute, ``sensors = ("imu", "gnss")``: then a run tells of those
-    in the log that no estimator uses.
+    in the log that no estimator uses. ``timed = False`` says that its seconds are no computation time, and leaves them out.
     """
 
     name: str

@@ -259,13 +259,14 @@ class SensorLog(Shown):
     """Exactly what a filter may know: recordings, the sensors' specifications, and the initial state. No truth.
 
     ``aiding`` maps a kind of sensor (``gnss``, ``gnss_raw``, ``mag``, ``baro``, ``odometer``, one's own) to its `Samples`. A kind is also
-    an attribute, and a keyword here: ``log.gnss``, None where the log has none.
+    an attribute, and a keyword here: ``log.gnss``, None where the log has none. ``run`` is the Monte Carlo run that it is of.
     """
 
     imu: ImuSamples
     initial: InitialState
     aiding: Mapping[str, Samples]
     name: str
+    run: int
 
     def __init__(
         self,
@@ -276,11 +277,12 @@ class SensorLog(Shown):
         baro: BaroSamples | EllipsisType | None = ...,
         name: str = "",
         aiding: Mapping[str, Samples] | None = None,
+        run: int = 0,
         **others: Samples | None,
     ) -> None:
         given = {"gnss": gnss, "mag": mag, "baro": baro, **others}
         changed = dict(aiding or {}) | {kind: samples for kind, samples in given.items() if samples is not ...}
-        for key, value in (("imu", imu), ("initial", initial), ("name", name)):
+        for key, value in (("imu", imu), ("initial", initial), ("name", name), ("run", run)):
             object.__setattr__(self, key, value)
         object.__setattr__(self, "aiding", {kind: samples for kind, samples in changed.items() if samples is not None})
 
@@ -339,7 +341,7 @@ class SensorLog(Shown):
         folder = Path(path)
         folder.mkdir(parents=True, exist_ok=True)
         initial = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self.initial).items()}
-        head = {"spec": specs.to_dict(self.imu.spec), "initial": initial, "name": self.name}
+        head = {"spec": specs.to_dict(self.imu.spec), "initial": initial, "name": self.name, "run": self.run}
         write_table(self.to_frame(), folder / "imu.parquet", "SensorLog.imu", head)
         for kind, samples in self.aiding.items():
             sensor = _sensors()[kind]
@@ -362,7 +364,7 @@ class SensorLog(Shown):
                 spec = specs.from_dict(sensor.spec, other["spec"])
                 known = sensor.read is None
                 aiding[kind] = sensor.from_table(table, spec) if known else sensor.read(table, other, spec)
-        return cls(imu, InitialState(**initial), name=meta["name"], aiding=aiding)
+        return cls(imu, InitialState(**initial), name=meta["name"], aiding=aiding, run=meta.get("run", 0))
 
 
 def _sensors() -> dict[str, Any]:

@@ -111,6 +111,10 @@ def align(
         gnss = _from(gnss, t)
     if start == "gnss" and (gnss is None or not len(gnss.t)):
         raise InputError(f"{place}: no fix lies within the IMU's samples from {t:.6g} s on")
+    if config.declination_deg is not None and (mag is None or not len(mag.t)):
+        raise InputError(
+            f"{place}: [recording.initial] declination_deg has no effect: the recording has no magnetometer"
+        )
     case = _Case(config, imu, gnss, mag, t, place)
     _known_motion(case, given, np.inf if reference is None else first_motion.moves_at(reference, t))
     stated = given.attitude if not config.model_fields_set & set(LEVELLING) else None
@@ -255,6 +259,11 @@ def _levelled(case: _Case) -> tuple[float, float, float, Array]:
     if config.yaw_deg is not None:
         yaw, yaw_std = float(np.radians(config.yaw_deg)), float(np.radians(5.0))
     elif heading == "mag":
+        if "crab_deg" in config.model_fields_set:
+            raise InputError(
+                f"{case.place}: [recording.initial] crab_deg has no effect: the heading is the magnetometer's; leave it out, or"
+                ' give heading = "course" or "motion"'
+            )
         roll, pitch, yaw, yaw_std = _by_mag(case, f_b, motion.a_n, gravity)
         return roll, pitch, yaw, np.array([level_std, level_std, yaw_std])
     elif heading == "course":

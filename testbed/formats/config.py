@@ -63,6 +63,22 @@ class AlignmentConfig(Table):
     yaw_std_deg: float | None = Field(default=None, gt=0.0, le=180.0)
     """1 sigma of the heading; default: what its source implies."""
 
+    @model_validator(mode="after")
+    def _all_act(self) -> AlignmentConfig:
+        """What another key takes the effect of is refused, so that a key that is there always acts."""
+        idle: dict[str, tuple[str, ...]] = {}
+        if self.attitude == "reference":
+            idle["attitude = 'reference'"] = ("heading", "level_s", "crab_deg")
+        if self.yaw_deg is not None:
+            idle["yaw_deg"] = ("heading", "crab_deg")
+        if self.heading in ("mag", "none"):
+            idle[f"heading = '{self.heading}'"] = ("crab_deg",)
+        for reason, keys in idle.items():
+            for key in keys:
+                if key in self.model_fields_set:
+                    raise ValueError(f"{key} would have no effect beside {reason}; leave one of them out")
+        return self
+
 
 class HoldoutConfig(Table):
     """``[recording.holdout]``: windows whose fixes are withheld and scored against; seconds after the start of the log."""

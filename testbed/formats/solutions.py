@@ -7,7 +7,8 @@
   alignment is for.
 - .pos: `testbed.formats.rtklib`.
 
-All become north-east-down metres about the first row of the truth, and forward-right-down attitudes.
+All become north-east-down metres about the first row of the truth, and forward-right-down attitudes. `read_solution` makes a
+`NavSolution` of the first kind, with ``std_position_north_m`` .. ``std_attitude_down_rad`` as further options.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from testbed.base.errors import InputError
-from testbed.data.records import Array, Trajectory
+from testbed.data.records import NAVIGATION_STATES, Array, NavSolution, Trajectory
 from testbed.formats.kinematics import multiply
 from testbed.formats.recording import check_finite, check_time
 from testbed.formats.rtklib import read_pos
-from testbed.formats.table import VELOCITY, Tables
+from testbed.formats.table import EULER, QUATERNION, SOLUTION_STD, VELOCITY, Tables
 
 TUM = (".tum", ".txt")
 _ENU_TO_NED = np.array([[0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0]])
@@ -67,18 +68,50 @@ def read(path: Path, origin: Origin) -> Track:
         return Track(path.stem, fixes.t, ned, None if position_only else fixes.v_n)
     if path.suffix in TUM:
         return _tum(path)
+    tables, velocity, attitude = _tables(path)
+    table = tables.parts["solution"]
+    return Track(
+        path.stem,
+        table["time"] + tables.base,
+        local(table["lat"], table["lon"], table["alt"], origin),
+        tables.block("solution", list(VELOCITY)) if velocity else None,
+        tables.quaternions("solution") if attitude else None,
+    )
+
+
+def _tables(path: Path) -> tuple[Tables, bool, bool]:
+    """A table of a solution, and whether it has velocities and an attitude."""
     tables = Tables(path.parent, {"solution": path.name}, {}, ("solution",))
     table = tables.parts["solution"]
     velocity = [key for key in VELOCITY if key in table]
     if velocity and len(velocity) < 3:
         raise InputError(f"{path}: has {', '.join(velocity)}, but not all three velocities")
-    attitude = [key for key in ("roll", "pitch", "yaw", "q_nb_0", "q_nb_1", "q_nb_2", "q_nb_3") if key in table]
-    return Track(
-        path.stem,
+    return tables, bool(velocity), any(key in table for key in (*EULER, *QUATERNION))
+
+
+def read_solution(path: Path) -> NavSolution:
+    """A table of a solution as an estimator's answer; what it has no columns for is not scored. Raises InputError."""
+    tables, velocity, attitude = _tables(path)
+    table = tables.parts["solution"]
+    n = len(table["time"])
+    answered = {"position": True, "velocity": velocity, "attitude": attitude}
+    states = tuple(state for state in NAVIGATION_STATES if answered[state.split("_")[0]])
+    names = [f"std_{state.rpartition('_')[0]}" for state in states]
+    if (given := [name for name in SOLUTION_STD if name in table]) and given != names:
+        missing = [name for name in names if name not in given]
+        raise InputError(
+            f"{path}: has {', '.join(given)}"
+            + (f", but not {', '.join(missing)}" if missing else ", beside no columns of what they are sigmas of")
+        )
+    return NavSolution(
         table["time"] + tables.base,
-        local(table["lat"], table["lon"], table["alt"], origin),
-        tables.block("solution", velocity) if velocity else None,
-        tables.quaternions("solution") if attitude else None,
+        table["lat"],
+        table["lon"],
+        table["alt"],
+        tables.block("solution", list(VELOCITY)) if velocity else np.zeros((n, 3)),
+        tables.quaternions("solution") if attitude else np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        std=tables.block("solution", names) if given else None,
+        states=states,
     )
 
 

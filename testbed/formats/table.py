@@ -39,9 +39,15 @@ if TYPE_CHECKING:
 
 _XYZ, _NED = "xyz", ("north", "east", "down")
 _PLACE = {"lat": "angle", "lon": "angle", "alt": "length"} | {f"v_{a}": "speed" for a in _NED}
-_EULER = dict.fromkeys(("roll", "pitch", "yaw"), "angle")
-_QUATERNION = {f"q_nb_{i}": "number" for i in range(4)}
+EULER = dict.fromkeys(("roll", "pitch", "yaw"), "angle")
+QUATERNION = {f"q_nb_{i}": "number" for i in range(4)}
 _STD = {f"std_{a}": "length" for a in _NED} | {f"std_v_{a}": "speed" for a in _NED}
+SOLUTION_STD = {
+    f"std_{what}_{a}": quantity
+    for what, quantity in (("position", "length"), ("velocity", "speed"), ("attitude", "angle"))
+    for a in _NED
+}
+"""Of a solution's error states, as `NavSolution` names them."""
 STD, VELOCITY = tuple(_STD), tuple(f"v_{a}" for a in _NED)
 
 REQUIRED: dict[str, dict[str, str]] = {
@@ -59,8 +65,8 @@ REQUIRED: dict[str, dict[str, str]] = {
 REQUIRED["gnss"] = {stem: quantity for stem, quantity in REQUIRED["gnss"].items() if stem not in VELOCITY}
 OPTIONAL: dict[str, dict[str, str]] = {
     "gnss": _STD | dict.fromkeys((*VELOCITY, "speed"), "speed") | {"course": "angle"},
-    "reference": _EULER | _QUATERNION,
-    "solution": _EULER | _QUATERNION | dict.fromkeys(VELOCITY, "speed"),
+    "reference": EULER | QUATERNION,
+    "solution": EULER | QUATERNION | dict.fromkeys(VELOCITY, "speed") | SOLUTION_STD,
 }
 STORED = "log.json"
 EPOCH = 1e7
@@ -99,16 +105,16 @@ class Tables:
     def quaternions(self, part: str = "reference") -> Array:
         """q_nb (N,4) of a part, from its quaternion or its Euler angles."""
         table = self.parts[part]
-        if all(name in table for name in _QUATERNION):
-            q = self.block(part, list(_QUATERNION))
+        if all(name in table for name in QUATERNION):
+            q = self.block(part, list(QUATERNION))
             norm = np.linalg.norm(q, axis=1, keepdims=True)
             if (np.abs(norm - 1.0) > 1e-2).any():
                 raise InputError(
                     f"{self.places[part]}: q_nb at sample {int(np.argmax(np.abs(norm - 1)))} is no unit quaternion"
                 )
             return np.where(np.abs(norm - 1.0) < 1e-12, q, q / norm)
-        if all(name in table for name in _EULER):
-            return eulers_to_quats(self.block(part, list(_EULER)))
+        if all(name in table for name in EULER):
+            return eulers_to_quats(self.block(part, list(EULER)))
         raise InputError(f"{self.places[part]}: needs roll_deg, pitch_deg, yaw_deg or q_nb_0 .. q_nb_3")
 
     def stored(self) -> dict[str, Any]:
@@ -149,7 +155,7 @@ def save_log(log: SensorLog, folder: str | Path, kind: str = "csv", reference: T
         frames["reference"] = reference.to_frame().assign(**quaternion)
     for name, frame in frames.items():
         write_frame(frame, folder / f"{name}.{kind}")
-    stored: dict[str, Any] = {"name": log.name}
+    stored: dict[str, Any] = {"name": log.name, "run": log.run}
     for part, samples in [("imu", log.imu), *log.aiding.items()]:
         if hasattr(samples, "spec"):
             stored[part] = specs.to_dict(samples.spec)

@@ -35,6 +35,12 @@ if TYPE_CHECKING:
 MAX_ROWS = 3000
 NIS_RANGE = (0.3, 3.0)
 """Mean NIS of a channel outside of it is told: noise that is off by 1.8 times in sigma, which a data sheet is not."""
+POLE_PITCH_DEG = 80.0
+"""Beyond it an error of roll or yaw may be the attitude error times 1 / cos(80°) = 5.8."""
+UNKNOWN_DEG = 60.0
+"""1 sigma of a heading at the start that counts as unknown: half a circle and more lies within two of them."""
+CONVERGED_DEG = 10.0
+"""1 sigma of a heading that is known: what an alignment takes for the angle between course and heading."""
 
 Solved = tuple[EstimatorConfig, NavSolution, ErrorSeries]
 
@@ -62,6 +68,7 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
     nis = {entry.row: _nis_per_channel(solution) for entry, solution, _ in solved}
     info: dict[str, Any] = {
         "nis_per_channel": nis,
+        "final_heading_sigma_deg": _final_heading_sigmas(log, solved),
         "name": scenario.name,
         "title": scenario.scenario.title,
         "source": scenario.scenario.source,
@@ -90,6 +97,41 @@ def innovation_notes(info: Mapping[str, Any]) -> list[str]:
                     f" is expected: {told}"
                 )
     return notes
+
+
+def pole_notes(trajectory: Trajectory) -> list[str]:
+    """A sentence where the truth comes near the singularity of its Euler angles, and none elsewhere."""
+    if "attitude" not in trajectory.known:
+        return []
+    pitch = np.degrees(np.abs(rotations.quats_to_eulers(trajectory.q_nb)[:, 1]))
+    share = float(np.mean(pitch > POLE_PITCH_DEG))
+    if not share:
+        return []
+    return [
+        f"Euler angles are singular at a pitch of 90°, and this motion reaches {pitch.max():.4g}° ({100.0 * share:.2g} % of its"
+        f" time above {POLE_PITCH_DEG:g}°): there errors of roll and yaw say little; the attitude error, one rotation, is what to read"
+    ]
+
+
+def heading_notes(info: Mapping[str, Any]) -> list[str]:
+    """A sentence for each filter that started without a heading and had none at the end."""
+    return [
+        f"{row}: the heading was unknown at the start and never converged: its 1 sigma at the end is {sigma:.2g}°"
+        for row, sigma in info.get("final_heading_sigma_deg", {}).items()
+        if sigma > CONVERGED_DEG
+    ]
+
+
+def _final_heading_sigmas(log: SensorLog, solved: Sequence[Any]) -> dict[str, float]:
+    """Row -> sigma of the rotation about the vertical at the end (degrees), where the log starts without a heading."""
+    if np.degrees(log.initial.std[8]) < UNKNOWN_DEG:
+        return {}
+    found = {}
+    for entry, solution, _ in solved:
+        if solution.std is not None and ATTITUDE_STATES[2] in solution.states:
+            sigma = float(np.degrees(solution.std[-1, solution.states.index(ATTITUDE_STATES[2])]))
+            found[entry.row] = round(sigma, 3) if np.isfinite(sigma) else 180.0
+    return found
 
 
 def _nis_per_channel(solution: NavSolution) -> dict[str, dict[str, float]]:

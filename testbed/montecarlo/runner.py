@@ -22,7 +22,8 @@ from testbed.base.errors import InputError, TestbedError, nearest, tell_user
 from testbed.base.notes import notes_of
 from testbed.data.records import Trajectory
 from testbed.montecarlo import executors
-from testbed.montecarlo.first_run import innovation_notes
+from testbed.montecarlo.external import answers_digest
+from testbed.montecarlo.first_run import heading_notes, innovation_notes, pole_notes
 from testbed.montecarlo.folders import check_own
 from testbed.montecarlo.store import FORMAT, KIND, Store, StoreError, batch_of, files_digest, open_result
 from testbed.montecarlo.work_unit import Setup, envelope_times
@@ -76,6 +77,8 @@ class Result:
     consistency: pd.DataFrame
     notes: tuple[str, ...] = ()
     """What the scenario says without effect, see `testbed.base.notes`."""
+    near_pole: bool = False
+    """Whether the motion comes where Euler angles say little of the attitude."""
 
     @property
     def metrics(self) -> pd.DataFrame:
@@ -114,6 +117,7 @@ def run(
         "scenario": scenario.digest(),
         "plugins": files_digest(setup.plugins),
         "testbed": testbed.__version__,
+        **answers_digest(scenario),
     }
     setup = replace(setup, batch=batch_of(identity))
     check_own(Path(out), KIND)
@@ -135,16 +139,20 @@ def run(
         if client is not None:
             client.close()
         tables = _tables(store, scenario, wanted, trajectory)
-        store.save(notes=[*store.manifest["notes"], *_of_first_run(store)])
+        pole = pole_notes(trajectory)
+        store.save(notes=[*store.manifest["notes"], *pole, *_of_first_run(store)])
         seconds = round(time.monotonic() - started, 3)
         store.save(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
-    return Result(store.out, **vars(tables), notes=tuple(store.manifest["notes"]))
+    return Result(store.out, **vars(tables), notes=tuple(store.manifest["notes"]), near_pole=bool(pole))
 
 
 def _of_first_run(store: Store) -> list[str]:
-    """What the innovations of run 0 say of the filters."""
+    """What innovations and sigmas of run 0 say of the filters."""
     path = store.out / "details" / "info.json"
-    return innovation_notes(json.loads(path.read_text())) if path.is_file() else []
+    if not path.is_file():
+        return []
+    info = json.loads(path.read_text())
+    return innovation_notes(info) + heading_notes(info)
 
 
 def _tables(store: Store, scenario: Scenario, runs: int, trajectory: Trajectory) -> Any:

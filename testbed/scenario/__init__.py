@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 Positive = Annotated[float, Field(gt=0)]
 OWN_FILE = f"flight.{OWN_TRACK}"
 PLAN = "flight.plan"
+EXTERNAL = "external"
+"""The estimator whose answers other programs made (`testbed.montecarlo.external`)."""
 LONGEST_TIMEOUT_S = 1e8
 """Three years; the timers of the operating system take no infinity."""
 
@@ -337,10 +339,22 @@ class Scenario(Table):
 
     def digest(self) -> str:
         """Hash of all that determines the results of one run: everything but the number of runs, the claims, the readings."""
-        data = self.to_data()
+        data = self._content()
         data["monte_carlo"].pop("runs")
         for presentation in ("claims", "readings", "tables"):
             data.pop(presentation, None)
+        return _hash_of(data)
+
+    def sensed_digests(self) -> dict[str, str]:
+        """Hash of each section that determines the logs of the runs, whoever estimates on them."""
+        data = self._content()
+        drawn = {key: data["monte_carlo"].get(key) for key in ("seed", "vary", "disperse")}
+        sections = {key: data.get(key) for key in ("flight", "flown_by", "recording", "sensors", "initial")}
+        return {key: _hash_of(value) for key, value in (sections | {"monte_carlo": drawn}).items()}
+
+    def _content(self) -> dict[str, Any]:
+        """`to_data` with the content of the files that it names in place of their names."""
+        data = self.to_data()
         for sensor in data.get("sensors", {}).values():
             if isinstance(sensor, dict) and "file" in sensor:
                 sensor["file"] = hashlib.sha256(Path(sensor["file"]).read_bytes()).hexdigest()
@@ -358,7 +372,7 @@ class Scenario(Table):
             data["flight"]["aircraft"] = hashlib.sha256(content).hexdigest()
         if isinstance(self.flight, TrajectoryConfig):
             data["flight"]["trajectory"] = self._content_of(Path(self.flight.trajectory))
-        return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
+        return data
 
     def _content_of(self, path: Path) -> str:
         """Hash of the file of a trajectory."""
@@ -368,6 +382,10 @@ class Scenario(Table):
             raise InputError(
                 f"{self._source}: 'flight.trajectory': {path}: cannot be read ({error.strerror})"
             ) from None
+
+
+def _hash_of(data: Any) -> str:
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def list_scenarios() -> dict[str, Path]:
@@ -428,6 +446,7 @@ def load_scenario(
     for key, value in (overrides or {}).items():
         set_key(data, key, value, str(path))
     _inline_parameter_files(data, path)
+    _find_answers(data, path)
     if "recording" in data and "flight" not in data and "sensors" not in data:
         data = merge({"monte_carlo": {"runs": 1}}, data)  # every run of a recording is the same
     scenario = validate(Scenario, data, str(path), path.resolve().parent)
@@ -500,6 +519,15 @@ def _inline_parameter_files(data: dict[str, Any], path: Path) -> None:
         if not isinstance(read, dict):
             raise InputError(f"{where}: {file}: a parameter file needs a table [params]")
         entry["params"] = merge(read, entry.get("params", {}))
+
+
+def _find_answers(data: Mapping[str, Any], path: Path) -> None:
+    """The folder of the answers of an external filter starts, like every path of a scenario, at the scenario's own folder."""
+    entries = data.get("estimators")
+    for entry in entries if isinstance(entries, list) else []:
+        params = entry.get("params") if isinstance(entry, dict) and entry.get("name") == EXTERNAL else None
+        if isinstance(params, dict) and isinstance(params.get("dir"), str):
+            entry["params"] = params | {"dir": str((path.parent / params["dir"]).resolve())}
 
 
 def _check_estimators(scenario: Scenario) -> None:

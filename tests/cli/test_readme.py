@@ -1,6 +1,7 @@
 """The README keeps its word: every command and code block runs, in order, in one empty folder, and prints what is pasted.
 
-A block is left out only behind a comment ``<!-- not run: reason -->``; ``<!-- file: NAME -->`` writes it to a file. What
+A block is left out only behind a comment ``<!-- not run: reason -->``, or ``<!-- needs TOOL -->`` where that program is not
+installed; ``<!-- file: NAME -->`` writes it to a file. What
 the README does at length is done here in short: few runs in one process, no figures (`test_report` draws them).
 """
 
@@ -8,6 +9,7 @@ import contextlib
 import io
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -93,7 +95,8 @@ def test_every_block_runs_and_prints_what_is_pasted(tmp_path, monkeypatch):
         body = block.body
         for long, short in SHORTER.items():
             body = body.replace(long, short)
-        if block.comment.startswith("not run: "):
+        tool = block.comment.removeprefix("needs ")
+        if block.comment.startswith("not run: ") or (tool != block.comment and shutil.which(tool) is None):
             continue
         if block.comment.startswith("file: "):
             Path(block.comment.removeprefix("file: ")).write_text(body, encoding="utf-8")

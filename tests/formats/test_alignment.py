@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import formats_flight
@@ -10,6 +11,7 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from testbed.base.errors import InputError
+from testbed.base.schema import validate
 from testbed.data.records import GnssFixes, ImuSamples
 from testbed.data.specs import GnssSpec, ImuSpec, TriadSpec
 from testbed.formats import export_log, first_motion, import_log
@@ -217,3 +219,18 @@ def test_declination_of_place_and_date_or_of_the_log(tmp_path: Path) -> None:
     recording = import_log("table", tmp_path, initial={"heading": "mag"}, **given)
     assert np.degrees(recording.log.mag.spec.declination) == pytest.approx(3.5, abs=0.5)
     assert any("World Magnetic Model" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ({"attitude": "reference", "heading": "mag"}, "heading would have no effect beside attitude = 'reference'"),
+        ({"attitude": "reference", "level_s": 3.0}, "level_s would have no effect beside attitude = 'reference'"),
+        ({"yaw_deg": 10.0, "heading": "course"}, "heading would have no effect beside yaw_deg"),
+        ({"yaw_deg": 10.0, "crab_deg": 3.0}, "crab_deg would have no effect beside yaw_deg"),
+        ({"heading": "none", "crab_deg": 3.0}, "crab_deg would have no effect beside heading = 'none'"),
+    ],
+)
+def test_a_key_without_effect_is_refused(keys, told):
+    with pytest.raises(InputError, match=re.escape(told)):
+        validate(AlignmentConfig, keys, "recording.initial")

@@ -30,7 +30,8 @@ def quickstart(**more):
 
 
 def test_every_shipped_estimator_says_which_sensors_it_uses():
-    for name in sorted(entry.name for entry in entry_points(group=GROUP)):
+    # nobody knows what the program behind an external row has read
+    for name in sorted({entry.name for entry in entry_points(group=GROUP)} - {"external"}):
         kind = estimator_class(name)
         definer = next(k for k in kind.__mro__ if "run" in vars(k))
         sensors = make_estimator(name).sensors if isinstance(kind.sensors, property) else kind.sensors
