@@ -30,7 +30,7 @@ from estimators.core.propagate import (
 )
 from estimators.core.strapdown import advance, compensate, coning_sculling
 from estimators.core.timeline import INLINED, steps
-from estimators.core.update import innovation_covariance, update
+from estimators.core.update import innovation_covariance, update_considering
 from testbed.physics import earth
 from testbed.physics.rotations import (
     cross,
@@ -66,6 +66,8 @@ class Inputs(NamedTuple):
     """(k,) what they return to."""
     chain: NDArray[np.int64]
     """(c,2) sensor-error states of which the first is the integral of the second."""
+    estimated: Array
+    """(n,) 1, or 0 of a state that is considered: it counts in the covariance, and is never corrected."""
 
 
 class Blocks(NamedTuple):
@@ -370,7 +372,8 @@ def correct(model, k, e):
     if fading != REJECTED:
         for i in range(h.shape[1]):
             put(x, i, 0.0)
-        update(x, p, residual, h, r, model.work.scalars, model.work.scratch)
+        work = model.work
+        update_considering(x, p, residual, h, r, work.scalars, work.scratch, model.inputs.estimated)
         retract(model)
     note_update(model.keep, model, e, count, fading)
 
@@ -542,10 +545,15 @@ def _judge_single(model, kind, residual, h, r):
     innovation_covariance(model.p, h, r, s, work.scratch)
     fading = 1.0
     if events.policies[kind] != NOTHING:
+        for a in range(count):
+            work.scalars[a, 0] = r[a]
         fading = call_policy(events.policies[kind], (events.memory[kind], residual, s, r, h, model.p))
+        changed = fading > 1.0
+        for a in range(count):
+            changed = changed or work.scalars[a, 0] != r[a]
         if fading > 1.0:
             _fade(model.p, h.shape[1], fading)
-        if fading != REJECTED:
+        if changed and fading != REJECTED:
             innovation_covariance(model.p, h, r, s, work.scratch)
     return fading
 
