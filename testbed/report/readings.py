@@ -20,8 +20,9 @@ from testbed.base.schema import validate
 from testbed.montecarlo.folders import Folder, read_manifest
 from testbed.montecarlo.readings import COLUMNS, KIND, slug
 from testbed.report import html
-from testbed.report.figures import WIDTH, Drawing, save
+from testbed.report.figures import Drawing, save
 from testbed.report.labels import COLOURS, percent, verdict_kind, window_label
+from testbed.report.panels import blank
 from testbed.report.tables import Cell, Column, Table, claim_cells
 from testbed.report.text import markdown_table
 from testbed.scoring.claims import ReadingConfig
@@ -77,12 +78,8 @@ def write_page(folder: Path) -> Path:
 
 def forest(rows: pd.DataFrame, claim: dict[str, Any]) -> Figure:
     """Effect and 95 % interval per reading (circle: ratio of means; diamond: median of ratios) beside what the source states."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     height = 0.75 + 0.3 * len(rows)
-    figure = Figure(figsize=(WIDTH, height))
-    FigureCanvasAgg(figure)
+    figure = blank(height)
     axis = figure.add_axes((0.30, 0.45 / height, 0.46, 1.0 - 0.55 / height))
     stated, margin = claim["paper_improvement_pct"], claim["margin_pct"]
     low, high = _limits(rows, stated or 0.0, margin or 0.0)
