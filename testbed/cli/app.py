@@ -250,7 +250,7 @@ def allan_command(
 @app.command("import")
 def import_command(
     format: Annotated[
-        str, typer.Argument(help="broad, kfgins, navego, rtklib, table or ulog.", autocompletion=completion.formats)
+        str, typer.Argument(help="broad, kfgins, navego, rinex, rtklib, table or ulog.", autocompletion=completion.formats)
     ],
     files: Annotated[list[Path], typer.Argument(help="The recording: a folder or files.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for the sensor log.")],

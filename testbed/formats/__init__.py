@@ -2,7 +2,7 @@
 
 In: ``navego`` (.mat structs), ``table`` (CSV or Parquet with units in the column names), ``ulog`` (PX4 flight logs),
 ``broad`` (trials of that data set), ``kfgins`` (increments),
-``rtklib`` (.pos beside an IMU table).
+``rtklib`` (.pos beside an IMU table), ``rinex`` (observations and navigation beside an IMU table).
 Out: ``parquet``, ``csv``, ``navego``, ``kml``. Each format is documented in its module; errors are `InputError`.
 """
 
@@ -37,6 +37,7 @@ FORMATS: dict[str, Format] = {
     "broad": Format("trial of the BROAD data set of attitude references", PARTS["broad"], ".mat"),
     "kfgins": Format("KF-GINS text files: increments, positions, reference", PARTS["kfgins"], ".txt"),
     "rtklib": Format("RTKLIB solution (.pos) beside an IMU table", PARTS["rtklib"], ".pos"),
+    "rinex": Format("RINEX 3 observations and navigation beside an IMU table", PARTS["rinex"], ".rnx"),
     "csv": Format("CSV with units in the column names", None, ".csv"),
     "parquet": Format("Parquet with units in the column names", None, ".parquet"),
     "kml": Format("KML track for Google Earth, coloured by error", None, ".kml"),

@@ -20,6 +20,7 @@ PARTS = {
     "broad": ("trial",),
     "kfgins": ("imu", "gnss", "reference"),
     "rtklib": ("imu", "pos", "mag", "baro", "reference"),
+    "rinex": ("imu", "obs", "nav", "mag", "baro", "reference"),
 }
 """Format -> names that ``files`` may use."""
 
@@ -82,7 +83,7 @@ class HoldoutConfig(Table):
 class RecordingConfig(Table):
     """``[recording]``. Relative paths start at the scenario's folder."""
 
-    format: Literal["navego", "table", "ulog", "broad", "kfgins", "rtklib"]
+    format: Literal["navego", "table", "ulog", "broad", "kfgins", "rtklib", "rinex"]
     dir: str = "."
     files: dict[str, str] = Field(default_factory=dict)
     """Part -> file in ``dir``; default names where a part is absent."""
@@ -112,8 +113,10 @@ class RecordingConfig(Table):
                 raise ValueError(
                     f"files: '{part}' is no part of a {self.format} recording; {nearest(part, PARTS[self.format])}"
                 )
-        if self.format not in ("table", "rtklib") and (self.columns or self.mapping):
-            raise ValueError(f"columns and mapping are for the format 'table' (and 'rtklib'), not '{self.format}'")
+        if self.format not in ("table", "rtklib", "rinex") and (self.columns or self.mapping):
+            raise ValueError(
+                f"columns and mapping are for the format 'table' (and 'rtklib', 'rinex'), not '{self.format}'"
+            )
         if self.format == "navego" and self.start_s is not None:
             raise ValueError("start_s is not for the format 'navego', whose initial attitude holds at its first sample")
         if self.start_s is not None and self.end_s is not None and self.end_s <= self.start_s:
