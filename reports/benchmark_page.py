@@ -140,8 +140,8 @@ def _goal(text: str, limit: float, measured: float | None, unit: str, section: s
 
 
 def _path_goals(paths: Data) -> list[Goal]:
-    def micro(name: str) -> float | None:
-        timing = Timing.of(paths, name)
+    def micro(name: str, unit: str = "samples") -> float | None:
+        timing = Timing.of(paths, name, unit)
         return None if timing is None else 1e6 * timing.median
 
     kf, peer = "test_bench_indirect_kf", Timing.of(paths, "test_bench_python_ins")
@@ -158,6 +158,13 @@ def _path_goals(paths: Data) -> list[Goal]:
         ),
         _goal("`direct-ukf` per sample", 25.0, micro("test_bench_direct_filter[direct-ukf]"), "µs", "paths"),
         _goal("`imm-rstekf` per sample", 15.0, micro("test_bench_direct_filter[imm-rstekf]"), "µs", "paths"),
+        _goal(
+            "GNSS simulation per epoch, 24 satellites", 30.0, micro("test_bench_satellites", "epochs"), "µs", "paths"
+        ),
+        _goal(
+            "GNSS receiver per epoch, 24 satellites", 15.0, micro("test_bench_receiver[24]", "epochs"), "µs", "paths"
+        ),
+        _goal("`tight-kf` per sample, larger noise", 3.0, micro("test_bench_tight[inflate]"), "µs", "paths"),
         _goal(
             "sensing a 200 Hz IMU (ADIS16405), times real time",
             5000,

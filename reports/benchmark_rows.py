@@ -125,6 +125,23 @@ ROWS = (
     ),
     _sense("ADIS16405"),
     _sense("ADIS16448"),
+    Row(
+        "GNSS, 24 satellites simulated",
+        "test_bench_satellites",
+        "epochs",
+        "six normals per satellite",
+        "test_bench_normals_of_an_epoch",
+    ),
+    Row("GNSS receiver, 12 satellites: fix, velocity, fault test", "test_bench_receiver[12]", "epochs"),
+    Row(
+        "`tight-kf`, 12 satellites at 5 Hz", "test_bench_tight[states]", what=TRIPLE, floor="test_bench_triple_product"
+    ),
+    Row(
+        "`tight-kf`, slow errors as larger noise",
+        "test_bench_tight[inflate]",
+        what=TRIPLE,
+        floor="test_bench_triple_product",
+    ),
     _flight("aerosonde"),
     _flight("transport"),
     _flight("agile"),

@@ -24,7 +24,7 @@ from testbed.physics.ecef import geodetic_to_ecef, north_east_down
 from testbed.physics.ranging import OMEGA, C, sight
 from testbed.physics.rotations import cross, matrix_rotate, matrix_rotate_inverse, quat_to_matrix
 
-SLOW_ERRORS = ("inflate", "white", "states")
+SLOW_ERRORS = ("inflate", "white", "states", "consider")
 INFLATION_CAP = 100.0
 """Largest factor on the variance of a slow error: it stands for some tens of seconds at 5 Hz, what a filter of this class
 averages over; without it the filter would forget the satellites in a minute's outage."""
@@ -50,12 +50,12 @@ def pseudoranges(log: SensorLog, columns: Columns, slow_errors: str = "inflate")
 
     ``slow_errors``: "white" takes the noise of the code alone for its error; "inflate" adds what lasts from epoch to epoch
     as white noise of the same density, up to a factor on its variance; "states" leaves that to the blocks
-    'gnss-delays' and 'gnss-ranges', all but multipath.
+    'gnss-delays' and 'gnss-ranges', all but multipath, and so does "consider", for a filter that considers these blocks.
     """
     if slow_errors not in SLOW_ERRORS:
         raise InputError(f"pseudorange: slow_errors = {slow_errors!r}, must be one of {', '.join(SLOW_ERRORS)}")
-    if slow_errors == "states" and not {"gnss-delays", "gnss-ranges"} <= set(columns):
-        raise InputError("pseudorange: slow_errors = 'states' needs the blocks 'gnss-delays' and 'gnss-ranges'")
+    if slow_errors in ("states", "consider") and not {"gnss-delays", "gnss-ranges"} <= set(columns):
+        raise InputError(f"pseudorange: slow_errors = '{slow_errors}' needs the blocks 'gnss-delays' and 'gnss-ranges'")
     raw = observations(log, "the aiding 'pseudorange'")
     both = {GPS, GALILEO} <= set(np.unique(raw.systems()))
     if both and "gnss-isb" not in columns:

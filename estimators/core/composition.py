@@ -62,6 +62,8 @@ class Composition:
     error: str = "phi"
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Options of an aiding, by its name."""
+    consider: tuple[str, ...] = ()
+    """Blocks of ``states`` whose states are never corrected, but whose uncertainty the filter counts (Schmidt)."""
 
     def blocks(self) -> list[Block]:
         """The blocks in the order of their states. Raises InputError for a name that is unknown or given twice."""
@@ -105,6 +107,12 @@ class Composition:
                 hint = nearest(option, known) if known else "it has none"
                 raise InputError(f"policy '{policy.name}' has no option '{option}'; {hint}")
         return policy.memory(len(aiding.channels), **options)
+
+    def check_considered(self) -> None:
+        """Raises InputError for a considered block that is not among the states."""
+        for name in _once(self.consider, "consider"):
+            if name not in self.states:
+                raise InputError(f"consider: '{name}' is none of the states; {nearest(name, self.states)}")
 
     def error_code(self) -> int:
         """Raises InputError for an unknown error definition."""
@@ -154,6 +162,7 @@ def prepare(composition: Composition, log: SensorLog) -> Prepared:
     """Raises InputError where the composition is not sound or the log lacks what it needs."""
     blocks, aidings = [block.on(log) for block in composition.blocks()], composition.aidings()
     composition.error_code()
+    composition.check_considered()
     processes = [block.process(log) for block in blocks]
     sizes = [len(block.states) for block in blocks]
     firsts = NAV + np.concatenate([[0], np.cumsum(sizes)]).astype(int)
@@ -257,10 +266,9 @@ def make_model(prepared: Prepared, keep: Any) -> Model:
     work = _work(lambda *shape: np.zeros(shape), m, n)
     coupling = Coupling(_spans(prepared), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     inputs = Inputs(
-        _imu(prepared.log), prepared.white, prepared.drive, prepared.decay, prepared.centre, _chain(prepared)
+        _imu(prepared.log), prepared.white, prepared.drive, prepared.decay, prepared.centre, *_structure(prepared)
     )
-    events = _events(prepared, prepared.r, calls.MEASURE)
-    error = prepared.composition.error_code()
+    events, error = _events(prepared, prepared.r, calls.MEASURE), prepared.composition.error_code()
     return Model(inputs, blocks, events, error, prepared.start.copy(), p, scratch, coupling, work, keep)
 
 
@@ -275,7 +283,7 @@ def make_lanes(prepared: Prepared, white: Array, drive: Array, r: Array, keep: A
     blocks = _blocks(prepared, table(k, 3), table(k, 3), calls.COUPLE_LANES)
     work = _work(table, m, n)
     coupling = Coupling(_spans(prepared), table(k, 3), table(k, 3), np.zeros(k))
-    inputs = Inputs(_imu(prepared.log), white, drive, prepared.decay, prepared.centre, _chain(prepared))
+    inputs = Inputs(_imu(prepared.log), white, drive, prepared.decay, prepared.centre, *_structure(prepared))
     state = table(AUX + k)
     state[:] = prepared.start[:, None]
     events = _events(prepared, r, calls.MEASURE_LANES)
@@ -314,13 +322,14 @@ def _spans(prepared: Prepared) -> NDArray[np.int64]:
     return np.array([0, ends[0], ends[0], ends[1]], dtype=np.int64)
 
 
-def _chain(prepared: Prepared) -> NDArray[np.int64]:
-    """Pairs of sensor-error states of which the first is the integral of the second."""
+def _structure(prepared: Prepared) -> tuple[NDArray[np.int64], Array]:
+    """Pairs of sensor-error states of which the first is the integral of the second; and which states are estimated."""
     pairs, first = [], 0
     for block in prepared.blocks:
         pairs += [(first + i, first + j) for i, j in block.chain]
         first += len(block.states)
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    estimated = [np.full(len(b.states), b.name not in prepared.composition.consider) for b in prepared.blocks]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2), np.concatenate([np.ones(NAV), *estimated])
 
 
 def _blocks(prepared: Prepared, accel: Array, gyro: Array, signature: Any) -> Blocks:

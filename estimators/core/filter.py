@@ -26,7 +26,7 @@ from estimators.core.propagate import (
 from estimators.core.recording import note_sample, note_update
 from estimators.core.strapdown import advance, compensate, coning_sculling
 from estimators.core.timeline import INLINED, inner, steps
-from estimators.core.update import innovation_covariance, update
+from estimators.core.update import innovation_covariance, update_considering
 from testbed.physics import earth
 from testbed.physics.rotations import (
     cross,
@@ -141,7 +141,8 @@ def correct(model, k, e):
     if fading != REJECTED:
         for i in range(h.shape[1]):
             put(x, i, 0.0)
-        update(x, p, residual, h, r, model.work.scalars, model.work.scratch)
+        work = model.work
+        update_considering(x, p, residual, h, r, work.scalars, work.scratch, model.inputs.estimated)
         retract(model)
     note_update(model.keep, model, e, count, fading)
 
@@ -313,10 +314,15 @@ def _judge_single(model, kind, residual, h, r):
     innovation_covariance(model.p, h, r, s, work.scratch)
     fading = 1.0
     if events.policies[kind] != NOTHING:
+        for a in range(count):
+            work.scalars[a, 0] = r[a]
         fading = call_policy(events.policies[kind], (events.memory[kind], residual, s, r, h, model.p))
+        changed = fading > 1.0
+        for a in range(count):
+            changed = changed or work.scalars[a, 0] != r[a]
         if fading > 1.0:
             _fade(model.p, h.shape[1], fading)
-        if fading != REJECTED:
+        if changed and fading != REJECTED:
             innovation_covariance(model.p, h, r, s, work.scratch)
     return fading
 

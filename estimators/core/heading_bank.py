@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from estimators.core.composition import Prepared, make_model, make_recording, make_timeline_of, run, solution_of
 from estimators.core.model import AUX
-from estimators.core.recording import Recording
 from estimators.core.propagate import NAV
+from estimators.core.recording import Recording
 from estimators.core.timeline import walk
 from testbed.base.errors import InputError
 from testbed.data.records import NavSolution, SensorLog

@@ -40,6 +40,8 @@ class Inputs(NamedTuple):
     """(k,) what they return to."""
     chain: NDArray[np.int64]
     """(c,2) sensor-error states of which the first is the integral of the second."""
+    estimated: Array
+    """(n,) 1, or 0 of a state that is considered: it counts in the covariance, and is never corrected."""
 
 
 class Blocks(NamedTuple):

@@ -35,6 +35,16 @@ def update(x, p, residual, h, r, scalars, scratch):
     is diagonal; ``scalars`` (m,2) becomes what each of them added to what was known, and its variance, so that the sum of
     log variance + square / variance is log det S + v' S^-1 v. ``scratch`` (4,n) is overwritten.
     """
+    update_considering(x, p, residual, h, r, scalars, scratch, None)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def update_considering(x, p, residual, h, r, scalars, scratch, estimated):
+    """`update` that leaves states alone whose ``estimated`` (n,) is 0: they are considered, not estimated (Schmidt 1966).
+
+    Their gain is zero; Joseph's form is right for any gain, so that the others' covariance counts what is not known of them.
+    ``estimated`` may be None: all are.
+    """
     m, n = h.shape[0], h.shape[1]
     for i in range(n):
         set_entry(scratch, 3, i, 0.0)
@@ -49,6 +59,8 @@ def update(x, p, residual, h, r, scalars, scratch):
         set_entry(scalars, a, 1, variance)
         for i in range(n):
             gain = entry(scratch, 0, i) / variance
+            if estimated is not None:
+                gain = gain * estimated[i]
             set_entry(scratch, 1, i, gain)
             set_entry(scratch, 3, i, entry(scratch, 3, i) + gain * left)
         _joseph(p, h, a, get(r, a), scratch)

@@ -35,7 +35,8 @@ class Eskf:
     or a table with one per aiding. ``error``: "phi" or "invariant". ``options``: those of aidings, by their names.
     ``noise_scale``: factors on root spectral densities of "accel" and "gyro" noise, and of what drives a block, by name;
     ``std_scale``: factors on the standard deviations of an aiding's measurements, by name. 1 is the data sheet.
-    ``smooth``: states and deviations given the whole log; innovations stay those of the filter.
+    ``smooth``: states and deviations given the whole log; innovations stay those of the filter. ``consider``: those of
+    ``states`` that are never corrected, but whose uncertainty counts (Schmidt-Kalman).
     """
 
     states: tuple[str, ...] = ("accel-bias", "gyro-bias")
@@ -46,6 +47,7 @@ class Eskf:
     noise_scale: Mapping[str, float] = field(default_factory=dict)
     std_scale: Mapping[str, float] = field(default_factory=dict)
     smooth: bool = False
+    consider: tuple[str, ...] = ()
 
     name = "eskf"
     parameter_space = dict.fromkeys(("noise_scale.accel", "noise_scale.gyro"), (1e-3, 1e3, "log"))
@@ -61,7 +63,7 @@ class Eskf:
         }
 
     def __post_init__(self) -> None:
-        for key in ("states", "aiding"):
+        for key in ("states", "aiding", "consider"):
             value = getattr(self, key)
             if isinstance(value, str) or not all(isinstance(name, str) for name in value):
                 raise InputError(f"{self.name}: {key} = {value!r}, must be a list of names")
@@ -71,8 +73,11 @@ class Eskf:
             for aiding in composition.aidings():
                 composition.policy_memory(aiding)
             composition.error_code()
+            composition.check_considered()
         except InputError as error:
             raise InputError(f"{self.name}: {error}") from None
+        if self.smooth and self.consider:
+            raise InputError(f"{self.name}: smooth = true needs states that are estimated; leave out consider")
         for key, known in (("noise_scale", ("accel", "gyro", *self.states)), ("std_scale", tuple(self.aiding))):
             for name, factor in getattr(self, key).items():
                 if name not in known:
@@ -87,7 +92,9 @@ class Eskf:
     @property
     def composition(self) -> Composition:
         """The parts by name."""
-        return Composition(tuple(self.states), tuple(self.aiding), self.policy, self.error, self.options)
+        return Composition(
+            tuple(self.states), tuple(self.aiding), self.policy, self.error, self.options, tuple(self.consider)
+        )
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it lacks what a part needs."""

@@ -31,8 +31,8 @@ class TightKf:
     """Error-state filter with a measurement per satellite.
 
     ``slow_errors``: how errors that last (orbits, atmosphere, multipath) are counted: "states" estimates them, a state per
-    satellite and four for the atmosphere, so that the filter's sigma is honest; "inflate" takes larger noise for them,
-    which is twice as fast; "white" leaves them out. ``gate``: false for a filter that takes every measurement.
+    satellite and four for the atmosphere, so that the filter's sigma is honest; "consider" counts the same states and never
+    corrects them (Schmidt); "inflate" takes larger noise for them, which is twice as fast; "white" leaves them out. ``gate``: false for a filter that takes every measurement.
     ``range_gate``, ``rate_gate``: chance that a good one passes. ``smooth``: states given the whole log.
     """
 
@@ -50,6 +50,10 @@ class TightKf:
             raise InputError(
                 f"{self.name}: slow_errors = {self.slow_errors!r}, must be one of {', '.join(SLOW_ERRORS)}"
             )
+        if self.smooth and self.slow_errors == "consider":
+            raise InputError(
+                f"{self.name}: smooth = true needs states that are estimated, not slow_errors = 'consider'"
+            )
         fraction(f"{self.name}: range_gate", self.range_gate)
         fraction(f"{self.name}: rate_gate", self.rate_gate)
 
@@ -58,14 +62,14 @@ class TightKf:
         states = ["accel-bias", "gyro-bias", "gnss-clock"]
         if len(np.unique(observations(log, f"estimator '{self.name}'").systems())) > 1:
             states.append("gnss-isb")
-        if self.slow_errors == "states":
-            states += ["gnss-delays", "gnss-ranges"]
+        slow = ("gnss-delays", "gnss-ranges") if self.slow_errors in ("states", "consider") else ()
         policy: Mapping[str, Any] = {
             "doppler": {"gate-each": {"one": self.rate_gate}} if self.gate else "plain",
             "pseudorange": {"gate-each": {"one": self.range_gate}} if self.gate else "plain",
         }
         options = {"pseudorange": {"slow_errors": self.slow_errors}}
-        return Composition(tuple(states), ("doppler", "pseudorange"), policy, "phi", options)
+        considered = slow if self.slow_errors == "consider" else ()
+        return Composition((*states, *slow), ("doppler", "pseudorange"), policy, "phi", options, considered)
 
     def prepared(self, log: SensorLog) -> Prepared:
         """What a run on this log starts from. Raises InputError when it has no pseudoranges."""

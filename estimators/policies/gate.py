@@ -27,6 +27,8 @@ def threshold(rows: int, gate: float = 0.999) -> Array:
 def normalised_square(residual, s):
     """v' S^-1 v."""
     m = residual.shape[0]
+    if m == 1:  # of a single satellite, thousands a second: no factor, no memory for it
+        return residual[0] * residual[0] / s[0, 0] if s[0, 0] > 0.0 else np.nan
     return whiten(s, residual, np.zeros((m, m)), np.zeros(m))
 
 

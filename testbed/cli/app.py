@@ -275,7 +275,7 @@ def import_command(
     format: Annotated[
         str,
         typer.Argument(
-            help="ardupilot, broad, euroc, kfgins, kitti, mcap, navego, nmea, rosbag, rtklib, table, ubx or ulog.",
+            help="ardupilot, broad, euroc, kfgins, kitti, mcap, navego, nmea, rinex, rosbag, rtklib, table, ubx or ulog.",
             autocompletion=completion.formats,
         ),
     ],

@@ -31,8 +31,11 @@ class InitialFlightState(Table):
     lon_deg: float = Field(default=10.0, ge=-180, le=180)
     """Longitude, positive east."""
     alt_m: float = Field(default=1000.0, ge=0, le=30_000)
+    """Height above the ellipsoid."""
     speed_mps: float = Field(default=0.0, ge=0, le=1000)
+    """True airspeed; the aircraft is trimmed for it."""
     heading_deg: float = Field(default=0.0, ge=-360, le=360)
+    """From true north, clockwise."""
     parked: bool | None = Field(default=None, description="On the ground, which lies at alt_m, with brakes set")
 
     @model_validator(mode="after")
@@ -151,10 +154,15 @@ class Waypoint(Table):
     """A point to overfly: north and east of the start in metres, or latitude and longitude."""
 
     north_m: Metres | None = None
+    """North of the start."""
     east_m: Metres | None = None
+    """East of the start."""
     lat_deg: float | None = Field(default=None, ge=-85, le=85)
+    """Instead: latitude."""
     lon_deg: float | None = Field(default=None, ge=-180, le=180)
+    """With it: longitude."""
     alt_m: float | None = Field(default=None, ge=0, le=30_000)
+    """Height above the ellipsoid; default: the one before."""
     radius_m: float | None = Field(default=None, gt=0, le=100_000)
     """Reached when passed within it; default that of the manoeuvre."""
     speed_mps: Speed | None = None
@@ -286,6 +294,7 @@ class Waypoints(Manoeuvre):
     type: Literal["waypoints"]
     points: list[Waypoint] = Field(min_length=1)
     radius_m: float | None = Field(default=None, gt=0, le=100_000)
+    """A point counts as reached when passed within this."""
     follow: Literal["direct", "legs"] = "direct"
 
 

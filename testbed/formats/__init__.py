@@ -2,7 +2,7 @@
 
 In: ``navego`` (.mat structs), ``table`` (CSV or Parquet with units in the column names), ``ulog`` (PX4 flight logs),
 ``ardupilot`` (DataFlash), ``rosbag`` and ``mcap`` (ROS 1 and 2), ``broad``, ``euroc`` and ``kitti`` (as these data sets lie),
-``kfgins`` (increments), and the fixes of a receiver's file beside an IMU table: ``rtklib`` (.pos), ``nmea``, ``ubx``.
+``kfgins`` (increments), and the fixes of a receiver's file beside an IMU table: ``rtklib`` (.pos), ``nmea``, ``ubx``, ``rinex``.
 Out: ``parquet``, ``csv``, ``navego``, ``kml``. Each format is documented in its module; errors are `InputError`.
 """
 
@@ -44,6 +44,7 @@ FORMATS: dict[str, Format] = {
     "ubx": Format("UBX messages of u-blox receivers beside an IMU table", PARTS["ubx"], ".ubx"),
     "euroc": Format("sequence in EuRoC's layout (imu0, ground truth)", PARTS["euroc"]),
     "kitti": Format("drive of the KITTI raw data (oxts)", PARTS["kitti"]),
+    "rinex": Format("RINEX 3 observations and navigation beside an IMU table", PARTS["rinex"], ".rnx"),
     "csv": Format("CSV with units in the column names", None, ".csv"),
     "parquet": Format("Parquet with units in the column names", None, ".parquet"),
     "kml": Format("KML track for Google Earth, coloured by error", None, ".kml"),

@@ -27,9 +27,10 @@ PARTS = {
     "ubx": ("imu", "ubx", "mag", "baro", "reference"),
     "euroc": ("imu", "reference"),
     "kitti": ("oxts",),
+    "rinex": ("imu", "obs", "nav", "mag", "baro", "reference"),
 }
 """Format -> names that ``files`` may use."""
-TABLES = ("table", "rtklib", "nmea", "ubx")
+TABLES = ("table", "rtklib", "nmea", "ubx", "rinex")
 """Formats whose IMU is a table."""
 ROS = ("rosbag", "mcap")
 TOPICS = ("imu", "gnss", "mag", "baro", "reference")
@@ -129,7 +130,9 @@ class RecordingConfig(Table):
         "ubx",
         "euroc",
         "kitti",
+        "rinex",
     ]
+    """How the files are written."""
     dir: str = "."
     """The recording's folder."""
     files: dict[str, str] = Field(default_factory=dict)

@@ -62,22 +62,22 @@ def _drawn(
 
 
 def withhold(log: SensorLog, windows: Windows) -> SensorLog:
-    """The log without the fixes of the windows, which are its outages."""
-    gnss = log.gnss
+    """The log without the fixes of the windows, which are its outages, and without what the receiver made them of."""
+    gnss, aiding = log.gnss, dict(log.aiding)
     assert gnss is not None
-    return SensorLog(
-        log.imu,
-        log.initial,
-        name=log.name,
-        aiding={**log.aiding, "gnss": _rows(gnss, ~_inside(gnss, windows), windows)},
-    )
+    aiding["gnss"] = _rows(gnss, ~_inside(gnss.t, windows), windows)
+    if (raw := aiding.get("gnss_raw")) is not None:
+        keep = ~_inside(raw.t, windows)
+        rows = {key: value[keep] for key, value in vars(raw).items() if isinstance(value, np.ndarray)}
+        aiding["gnss_raw"] = replace(raw, **rows)
+    return SensorLog(log.imu, log.initial, name=log.name, aiding=aiding)
 
 
 def withheld(log: SensorLog, windows: Windows, position_only: bool) -> Trajectory:
     """The withheld fixes as a truth that knows position (and velocity), of the antenna, at its own times."""
     gnss = log.gnss
     assert gnss is not None
-    kept = _rows(gnss, _inside(gnss, windows), windows)
+    kept = _rows(gnss, _inside(gnss.t, windows), windows)
     n = len(kept.t)
     if n < 2:
         raise InputError(f"{log.name}: [recording.holdout] withholds {n} fixes, at least 2 are needed")
@@ -98,10 +98,10 @@ def withheld(log: SensorLog, windows: Windows, position_only: bool) -> Trajector
     )
 
 
-def _inside(gnss: GnssFixes, windows: Windows) -> np.ndarray:
-    inside = np.zeros(len(gnss.t), dtype=bool)
+def _inside(t: np.ndarray, windows: Windows) -> np.ndarray:
+    inside = np.zeros(len(t), dtype=bool)
     for a, b in windows:
-        inside |= (gnss.t > a) & (gnss.t <= b)
+        inside |= (t > a) & (t <= b)
     return inside
 
 

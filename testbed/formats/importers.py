@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.base.errors import InputError, shown
+from testbed.data.observations import GnssObservations
 from testbed.data.records import Array, GnssFixes, ImuSamples, SensorLog, Trajectory
 from testbed.formats import magnetic_field, plausibility
 from testbed.formats.alignment import LEVELLING, Given, align, cut_before, turned
@@ -22,7 +23,6 @@ from testbed.formats.config import RecordingConfig
 from testbed.formats.first_motion import with_derived_velocity
 from testbed.formats.raw import Raw
 from testbed.formats.recording import Recording, mounting, reference_on_grid
-from testbed.formats.table_samples import KINDS
 from testbed.physics.earth import G0
 from testbed.physics.rotations import quat_to_matrix
 
@@ -40,6 +40,7 @@ READERS = {
     "ubx": "testbed.formats.ubx",
     "euroc": "testbed.formats.euroc",
     "kitti": "testbed.formats.kitti",
+    "rinex": "testbed.formats.rinex",
 }
 """Format -> module with a function ``read(config, folder) -> Raw``."""
 PLACEMENT = ("clock_s", "mounting_deg")
@@ -76,6 +77,9 @@ def finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Recor
         notes += aligned.notes
     elif asked:
         initial = turned(initial, config.initial)
+    if "gnss_raw" in raw.others and gnss is not None and len(gnss.t):
+        # the epoch whose fix was the start is not used again
+        raw.others["gnss_raw"] = _after(raw.others["gnss_raw"], float(gnss.t[0]))
     aiding = {"gnss": gnss, "mag": raw.mag, "baro": raw.baro, **raw.others}
     aiding = {kind: _after(samples, initial.t) for kind, samples in aiding.items()}
     log = SensorLog(imu, initial, name=raw.name, aiding=aiding)
@@ -102,6 +106,7 @@ def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Non
         table = dict(getattr(config, kind))
         clock, angles = (table.pop(key, None) for key in PLACEMENT)
         biases = {key: table.pop(key) for key in BIASES if kind == "imu" and key in table}
+        before = samples.t
         if kind not in raw.stated and not table and kind in ("imu", "gnss"):
             raise InputError(
                 f"{place}: nothing states how good the {kind} is; give [recording.{kind}] a model of the catalogue or its figures"
@@ -118,12 +123,22 @@ def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Non
         if kind == "mag":
             raw.field_known = "field_ut" in field or magnetic_field.is_stated(samples.spec, "mag" in raw.stated)
         samples = _respecify(config, folder, kind, samples, table)
+        if kind == "gnss" and "gnss_raw" in raw.others:
+            raw.others["gnss_raw"] = _of_receiver(
+                raw.others["gnss_raw"], samples, float(samples.t[0] - before[0]), "model" in config.gnss
+            )
         if kind == "mag":
             if config.initial.declination_deg is not None:
                 samples = magnetic_field.with_declination(samples, float(np.radians(config.initial.declination_deg)))
             raw.stated |= {"mag"} if field else set()
             samples = magnetic_field.stated_field(field, samples)
         setattr(raw, kind, samples)
+
+
+def _of_receiver(observations: GnssObservations, fixes: GnssFixes, shift: float, known: bool) -> GnssObservations:
+    """Observations ``shift`` s later, at the fixes' antenna; with the figures of a ``known`` receiver, where one is named."""
+    spec = fixes.spec if known else replace(observations.spec, lever_arm_b=fixes.spec.lever_arm_b)
+    return replace(observations, t=observations.t + shift, spec=replace(spec, rate_hz=observations.spec.rate_hz))
 
 
 def _derive_velocities(raw: Raw) -> list[str]:
@@ -232,8 +247,8 @@ def _cut(config: RecordingConfig, recording: Recording, place: str) -> Recording
             f"{place}: end_s = {config.end_s} leaves no data; the recording begins at {log.initial.t:.6g} s"
         )
     if np.isfinite(end):
-        kinds = {k: s for k in KINDS if (s := getattr(log, k)) is not None}
-        log = replace(log, **{k: _select(s, s.t <= end) for k, s in kinds.items()})
+        aiding = {kind: _select(samples, samples.t <= end) for kind, samples in log.aiding.items()}
+        log = SensorLog(_select(log.imu, log.imu.t <= end), log.initial, name=log.name, aiding=aiding)
     if reference is not None:
         keep = (reference.t >= log.initial.t - 1e-9) & (reference.t <= end)
         if keep.sum() < 2:

@@ -297,7 +297,7 @@ def _gravity(raw: Raw) -> list[str]:
 def _gaps(raw: Raw) -> list[str]:
     notes = []
     for name, samples in parts_of(raw).items():
-        if (found := gaps_of(samples.t)) and not (name == "gnss" and samples.outages):
+        if (found := gaps_of(np.unique(samples.t))) and not (name == "gnss" and samples.outages):
             longest = max(found, key=lambda gap: gap[1] - gap[0])
             count = f"{len(found)} gaps, the longest" if len(found) > 1 else "a gap"
             notes.append(

@@ -20,9 +20,11 @@ from testbed.data.satellites import GALILEO, GPS, LETTERS
 from testbed.data.specs import GnssSpec, SignalSpec
 from testbed.gnss import orbits, signals
 from testbed.gnss.atmosphere import klobuchar, saastamoinen
+from testbed.gnss.config import SatellitesConfig
 from testbed.gnss.constellation import DAY_S, week_seconds
 from testbed.gnss.receiver import Received, solve
 from testbed.gnss.rinex import LONGEST_AGE_S, Navigation, Record, read_header, read_navigation, usable
+from testbed.gnss.sense import space_of
 from testbed.physics.delays import tropo_mapping
 from testbed.physics.ecef import geodetic_to_ecef, north_east_down
 from testbed.physics.ranging import L1, OMEGA, C, sight
@@ -147,7 +149,9 @@ def _located(
     table["noise"] = signals.code_noise(SURVEY, np.maximum(table["cn0"], SMALLEST_CN0))
     nothing = np.zeros(n)
     table |= {"residual": nothing, "used": nothing, "lock_time": nothing}
-    spec = GnssSpec("RINEX", 1.0 / float(np.median(np.diff(np.unique(table["t"])))), signals=SURVEY)
+    # what broadcast orbits and models leave is in no file either: figures of a quiet day, as simulated
+    space = space_of(SatellitesConfig())
+    spec = GnssSpec("RINEX", 1.0 / float(np.median(np.diff(np.unique(table["t"])))), space=space, signals=SURVEY)
     return GnssObservations(**{key: values[kept] for key, values in table.items()}, spec=spec)
 
 

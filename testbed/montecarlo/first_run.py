@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed.data import specs
+from testbed.data.observations import GnssObservations
 from testbed.data.records import (
     ATTITUDE_STATES,
     NAVIGATION_STATES,
@@ -46,7 +47,8 @@ Solved = tuple[EstimatorConfig, NavSolution, ErrorSeries]
 
 
 def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Sequence[Solved]) -> dict[str, bytes]:
-    """File name -> content: ``truth.parquet``, ``errors-<slug>.parquet``, ``innovations-``, ``extras-``, ``info.json``."""
+    """File name -> content: ``truth.parquet``, ``errors-<slug>.parquet``, ``innovations-``, ``extras-``, ``gnss.parquet``,
+    ``satellites.parquet``, ``info.json``."""
     files = {"truth.parquet": _parquet(_thin(trajectory.to_frame()))}
     slugs = _slugs([entry.row for entry in scenario.estimators])
     channels: dict[str, dict[str, list[str]]] = {}
@@ -62,6 +64,10 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
             components[entry.row] = {name: list(columns) for name, columns in solution.extra_names.items()}
     if log.gnss is not None:
         files["gnss.parquet"] = _parquet(_thin(log.frames()["gnss"]))
+    if isinstance(raw := log.aiding.get("gnss_raw"), GnssObservations) and len(raw.t):
+        from testbed.gnss.overview import satellites_frame
+
+        files["satellites.parquet"] = _parquet(satellites_frame(raw))
     sensors = {
         key: specs.to_dict(part.spec) for key, part in [("imu", log.imu), *log.aiding.items()] if hasattr(part, "spec")
     }

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from testbed.report import geometry
+from testbed.report import geometry, sky_charts
 from testbed.report.headline import Headline
 from testbed.report.labels import DASHES, component_label
 from testbed.report.results import Result, thin
@@ -324,6 +324,9 @@ def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
             if len(f) and e in colours
         }
         found["innovations"] = {"views": views}
+    if len(result.satellites):
+        found["sky"] = {"views": {"": sky_charts.sky(result.satellites)}}
+        found["satellites"] = {"views": {"": sky_charts.over_time(result.satellites, spans, phases)}}
     if result.extras:
         found["extras"] = {
             "views": {e: extras(f, spans, phases, result.components(e)) for e, f in result.extras.items()}

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from testbed.base.figure_style import COLOURS, STYLE, WIDTH, new_figure
+from testbed.base.figure_style import COLOURS, STYLE, new_figure
 from testbed.base.files import write_with
-from testbed.report import geometry, innovations
+from testbed.report import geometry, innovations, satellites
 from testbed.report.headline import headline
 from testbed.report.labels import component_label, short_name
+from testbed.report.panels import Phases, Spans, legend, panels, shade
 from testbed.report.results import Result, thin
 from testbed.scoring.quantities import GROUPS, MAIN, axis_title, quantity_label, unit
 
@@ -33,8 +34,6 @@ MOST_LINES = 8  # colours that a reader can tell apart
 DASHES = ["-", "--", ":", "-.", (0, (6, 1.5)), (0, (4, 1, 1, 1, 1, 1))]
 DPI = 120
 PLAIN = "{x:g}"  # tick labels: a power of ten as mathematics takes ten times as long to set
-Spans = Sequence[tuple[float, float]]
-Phases = Sequence[tuple[str, float, float]]
 
 
 class Drawing(NamedTuple):
@@ -60,7 +59,7 @@ def ground_track(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], out
     (x0, x1), (y0, y1) = geometry.map_limits(east, north)
     ax.set(xlabel="East, m", ylabel="North, m", xlim=(x0, x1), ylim=(y0, y1))
     ax.set_aspect("equal", adjustable="box")
-    _legend(figure, ax)
+    legend(figure, ax)
     return figure
 
 
@@ -80,7 +79,7 @@ def path_3d(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame]) -> Figur
     span = max(x1 - x0, y1 - y0)
     ax.set_box_aspect(((x1 - x0) / span, (y1 - y0) / span, max(0.25, (z1 - z0) / span)), zoom=1.15)
     ax.locator_params(nbins=5)
-    _legend(figure, ax)
+    legend(figure, ax)
     return figure
 
 
@@ -93,7 +92,7 @@ def error_traces(
 ) -> Figure:
     """Error over time of one flight, one panel per quantity; the three-sigma band of the estimator named ``band``."""
     figure = new_figure(1.15 * len(quantities) + 0.8)
-    axes = _panels(figure, len(quantities))
+    axes = panels(figure, len(quantities))
     for k, (label, frame) in enumerate(errors.items()):
         for ax, quantity in zip(axes, quantities, strict=True):
             if frame[quantity].isna().all():  # an attitude filter says nothing of position
@@ -107,8 +106,8 @@ def error_traces(
     for ax, quantity in zip(axes, quantities, strict=True):
         ax.set_ylabel(axis_title(quantity))
         _squeeze(ax, [frame[quantity].to_numpy() for frame in errors.values()])
-    _shade(axes, outages, phases)
-    _legend(figure, axes[0])
+    shade(axes, outages, phases)
+    legend(figure, axes[0])
     return figure
 
 
@@ -137,7 +136,7 @@ def rmse_bars(summary: pd.DataFrame, estimators: Sequence[str], window: str) -> 
         ax.set_xticks(range(3), names)
         ax.set_title(f"{group} RMSE, {unit(quantities[0])}", fontsize=8, loc="left")
         ax.grid(axis="x", visible=False)
-    _legend(figure, axes[0])
+    legend(figure, axes[0])
     return figure
 
 
@@ -169,7 +168,7 @@ def spread(per_run: pd.DataFrame, estimators: Sequence[str], metrics: Sequence[s
 def envelopes(table: pd.DataFrame, quantities: Sequence[str], outages: Spans = (), phases: Phases = ()) -> Figure:
     """RMS error over the runs (line) and the filter's own mean sigma (dotted): they meet when a filter is consistent."""
     figure = new_figure(1.15 * len(quantities) + 0.8)
-    axes, shown = _panels(figure, len(quantities)), list(dict.fromkeys(table["estimator"]))
+    axes, shown = panels(figure, len(quantities)), list(dict.fromkeys(table["estimator"]))
     for ax, quantity in zip(axes, quantities, strict=True):
         rows = table[table["quantity"] == quantity]
         found = []
@@ -180,8 +179,8 @@ def envelopes(table: pd.DataFrame, quantities: Sequence[str], outages: Spans = (
             ax.plot(t, group["sigma"], color=colour, ls=":", lw=0.8)
         ax.set_ylabel(axis_title(quantity))
         _squeeze(ax, found, signed=False)
-    _shade(axes, outages, phases)
-    _legend(figure, axes[0])
+    shade(axes, outages, phases)
+    legend(figure, axes[0])
     return figure
 
 
@@ -215,7 +214,7 @@ def consistency(table: pd.DataFrame, estimators: Sequence[str]) -> Figure:
     ax.xaxis.set_major_formatter(PLAIN)
     ax.minorticks_off()
     ax.invert_yaxis()
-    _legend(figure, ax)
+    legend(figure, ax)
     return figure
 
 
@@ -229,7 +228,7 @@ def extras(
     """What an estimator reports beside its state (mode probabilities, network outputs), one panel per name."""
     names = list(dict.fromkeys(table["name"]))[:4]
     figure = new_figure(1.3 * len(names) + 0.8)
-    axes = _panels(figure, len(names))
+    axes = panels(figure, len(names))
     for ax, name in zip(axes, names, strict=True):
         for k, (component, group) in enumerate(table[table["name"] == name].groupby("component", sort=False)):
             ax.plot(
@@ -239,9 +238,9 @@ def extras(
                 label=component_label(component, k, (components or {}).get(name, ())),
             )
         ax.set_ylabel(name.replace("_", " "))
-    _shade(axes, outages, phases)
+    shade(axes, outages, phases)
     figure.text(0.11, 1 - 0.18 / figure.get_figheight(), label)
-    _legend(figure, axes[0])
+    legend(figure, axes[0])
     return figure
 
 
@@ -283,6 +282,10 @@ def drawings(result: Result) -> dict[str, Drawing]:
         add("consistency", "NEES and NIS relative to their expected value.", consistency, table, lines)
     for name, (channels, label, colour) in innovations.figures(result, lead.winner).items():
         add(name, innovations.CAPTION.format(label), innovations.figure, channels, label, colour, spans)
+    if len(result.satellites):
+        add("sky", satellites.SKY_CAPTION, satellites.sky, result.satellites)
+        add("satellites", satellites.TIME_CAPTION, satellites.over_time, result.satellites, spans, phases)
+        add("residuals", satellites.RESIDUALS_CAPTION, satellites.residuals, result.satellites)
     for label, frame in list(result.extras.items())[:MOST_EXTRAS]:
         name = f"extras_{result.info['estimators'][label]}"
         components = result.components(label)
@@ -312,33 +315,6 @@ def save(drawing: Drawing, path: Path, svg: bool = True) -> None:
             write_with(path.with_suffix(".svg"), partial(figure.savefig, format="svg", metadata=plain))
 
 
-def _panels(figure: Figure, rows: int) -> list[Axes]:
-    height = figure.get_figheight()
-    axes = np.atleast_1d(figure.subplots(rows, 1, sharex=True))
-    figure.subplots_adjust(left=0.11, right=0.985, bottom=0.40 / height, top=1 - 0.42 / height, hspace=0.14)
-    axes[-1].set_xlabel("Time, s")
-    for ax in axes:
-        ax.yaxis.set_label_coords(-0.085, 0.5)  # aligned without measuring every tick label
-    return list(axes)
-
-
-def _shade(axes: Sequence[Axes], outages: Spans, phases: Phases) -> None:
-    """Outages as grey bands; phase borders as ticks, named along the top of the first panel where there is room."""
-    for ax in axes:
-        ax.margins(x=0)
-        for a, b in outages:
-            ax.axvspan(a, b, color="#000000", alpha=0.10, lw=0)
-        for _, start, _ in phases[1:]:
-            ax.axvline(start, color="#999999", lw=0.4, ls=(0, (2, 2)))
-    span = phases[-1][2] - phases[0][1] if phases else 1.0
-    for name, start, end in phases:
-        if (end - start) / span > 0.017 * len(name):
-            where: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 6, "color": "#666666"}
-            axes[0].text(
-                (start + end) / 2, 1.01, name.replace("_", " "), transform=axes[0].get_xaxis_transform(), **where
-            )
-
-
 def _squeeze(ax: Axes, series: Sequence[np.ndarray], signed: bool = True) -> None:
     """A scale that is linear near zero and logarithmic beyond, where the largest error dwarfs the smallest."""
     sizes = [np.nanmax(np.abs(s)) for s in series if np.isfinite(s).any()]
@@ -348,35 +324,3 @@ def _squeeze(ax: Axes, series: Sequence[np.ndarray], signed: bool = True) -> Non
         ax.yaxis.set_major_formatter(PLAIN)
         top = 1.3 * max(sizes)
         ax.set_ylim(-top if signed else 0.0, top)
-
-
-def _legend(figure: Figure, ax: Axes) -> None:
-    """Above the axes, in as many rows as the names need; the figure grows by all rows but the first."""
-    handles, labels = ax.get_legend_handles_labels()
-    unique = dict(zip(reversed(labels), reversed(handles), strict=True))
-    names = [name for name in dict.fromkeys(labels) if name]
-    if not names:
-        return
-    words = [short_name(name, 100) for name in names]  # as many fit into the width
-    columns = min(len(names), max(1, int((WIDTH - 0.2) / (0.5 + 0.058 * max(map(len, words))))))
-    _grow(figure, 0.15 * (-(-len(names) // columns) - 1))
-    figure.legend(
-        [unique[n] for n in names],
-        words,
-        loc="upper right",
-        bbox_to_anchor=(0.99, 1.0),
-        ncols=columns,
-        columnspacing=1.2,
-    )
-
-
-def _grow(figure: Figure, inches: float) -> None:
-    """Add height at the top; everything drawn so far keeps its size and distance from the bottom."""
-    old = figure.get_figheight()
-    figure.set_figheight(old + inches)
-    shrink = old / (old + inches)
-    for ax in figure.axes:
-        box = ax.get_position()
-        ax.set_position((box.x0, shrink * box.y0, box.width, shrink * box.height))
-    for text in figure.texts:
-        text.set_y(1 - (1 - text.get_position()[1]) * shrink)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.base.figure_style import COLOURS
-from testbed.report import innovations, provenance, tables
+from testbed.report import innovations, provenance, satellites, tables
 from testbed.report.charts import charts
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
@@ -41,6 +41,7 @@ def page(result: Result) -> str:
         failures=tables.failures(result),
         consistency=tables.consistency(result),
         innovations=innovations.table(result),
+        satellites=satellites.table(result),
         timings=tables.timings(result),
         sensors=sensor_tables(result),
         provenance=provenance.rows(result),
@@ -128,6 +129,7 @@ def _sections(result: Result, drawn: dict[str, Any]) -> list[tuple[str, str]]:
     found += [("errors", "Errors")] if "errors" in drawn else []
     found += [("spread", "Monte Carlo")] if {"spread", "envelopes"} & set(drawn) else []
     found += [("consistency", "Consistency")] if {"consistency", "innovations"} & set(drawn) else []
+    found += [("satellites", "Satellites")] if "satellites" in drawn else []
     found += [("extras", "Inside the filters")] if "extras" in drawn else []
     found += [("time", "Time")] if len(result.timings) else []
     found += [("sensors", "Sensors")] if result.info.get("sensors") else []

@@ -15,7 +15,7 @@ import pandas as pd
 
 from testbed.base.csv_text import read_csv
 from testbed.base.errors import InputError
-from testbed.base.figure_style import COLOURS, WIDTH
+from testbed.base.figure_style import COLOURS, new_figure
 from testbed.base.files import as_json
 from testbed.base.schema import validate
 from testbed.montecarlo.folders import Folder, read_manifest
@@ -78,12 +78,8 @@ def write_page(folder: Path) -> Path:
 
 def forest(rows: pd.DataFrame, claim: dict[str, Any]) -> Figure:
     """Effect and 95 % interval per reading (circle: ratio of means; diamond: median of ratios) beside what the source states."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     height = 0.75 + 0.3 * len(rows)
-    figure = Figure(figsize=(WIDTH, height))
-    FigureCanvasAgg(figure)
+    figure = new_figure(height)
     axis = figure.add_axes((0.30, 0.45 / height, 0.46, 1.0 - 0.55 / height))
     stated, margin = claim["paper_improvement_pct"], claim["margin_pct"]
     low, high = _limits(rows, stated or 0.0, margin or 0.0)

@@ -106,6 +106,8 @@ class Result:
     errors: Mapping[str, pd.DataFrame] = field(default_factory=dict)
     innovations: Mapping[str, Mapping[str, pd.DataFrame]] = field(default_factory=dict)
     extras: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    satellites: pd.DataFrame = field(default_factory=pd.DataFrame)
+    """Run 0's, a row per satellite and epoch; empty where the receiver was not simulated down to them."""
     findings: str = ""
 
     @cached_property
@@ -266,6 +268,8 @@ def _load_details(store: Store) -> dict[str, Any]:
     found: dict[str, Any] = {"info": info}
     if (truth := optional_part(store, "details/truth.parquet", _over_time)) is not None:
         found["truth"] = truth
+    if (satellites := optional_part(store, "details/satellites.parquet", _of_satellites)) is not None:
+        found["satellites"] = satellites
     for kind in ("errors", "innovations", "extras"):
         names = {label: f"details/{kind}-{slug}.parquet" for label, slug in info.get("estimators", {}).items()}
         tables = {label: optional_part(store, name, _over_time) for label, name in names.items()}
@@ -285,6 +289,20 @@ def _over_time(path: Path) -> pd.DataFrame:
         raise ValueError("it has no column 'time_s' of numbers")
     if not (frame["time_s"].abs() < LONGEST_S).all():
         raise ValueError("its 'time_s' holds what is no time of a run")
+    return frame
+
+
+SATELLITE_COLUMNS = ("azimuth_deg", "elevation_deg", "cn0_dbhz", "residual_m", "used", "hdop", "vdop")
+
+
+def _of_satellites(path: Path) -> pd.DataFrame:
+    """Satellites over time. Raises ValueError where a column is missing or holds something else."""
+    frame = _over_time(path)
+    for column in SATELLITE_COLUMNS:
+        if column not in frame or not _numbers(frame[column]):
+            raise ValueError(f"it has no column '{column}' of numbers")
+    if "satellite" not in frame or not frame["satellite"].map(lambda name: isinstance(name, str)).all():
+        raise ValueError("it has no column 'satellite' of names")
     return frame
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 
-from testbed.report import innovations, provenance, tables
+from testbed.report import innovations, provenance, satellites, tables
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
 from testbed.report.results import Result
@@ -39,7 +39,8 @@ def markdown(result: Result, figures: dict[str, str]) -> str:
         parts += [f"### {window_label(w)}\n\n" + markdown_table(tables.comparison(result, w)) for w in others]
     if figures:
         parts += ["## Figures"] + [f"![{caption}](figures/{name})\n\n*{caption}*" for name, caption in figures.items()]
-    for table in (tables.consistency(result), innovations.table(result), tables.timings(result)):
+    optional = (tables.consistency(result), innovations.table(result), satellites.table(result), tables.timings(result))
+    for table in optional:
         if table is not None:
             parts += [f"## {table.title}", markdown_table(table)]
     if sensors := sensor_tables(result):
@@ -87,7 +88,7 @@ def _bar(text: str) -> str:
 def latex(result: Result) -> str:
     """Tables for ``\\input``: comparison per window, claims, the paper's tables, consistency, time. Needs booktabs."""
     found = [tables.comparison(result, w) for w in comparison_windows(result)]
-    optional = (tables.consistency(result), innovations.table(result), tables.timings(result))
+    optional = (tables.consistency(result), innovations.table(result), satellites.table(result), tables.timings(result))
     found += tables.claims(result) + [table for table in optional if table is not None]
     found += tables.paper_tables(result)
     return "% needs \\usepackage{booktabs}\n\n" + "\n".join(_latex_table(result, t) for t in found)

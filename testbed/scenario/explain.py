@@ -53,6 +53,8 @@ class Key:
         tables = [kind for kind in unwrap(self.field.annotation) if _is_table(kind)]
         if self.name == "type" and not text:
             return "Says that it is of this kind: " + (inspect.getdoc(self.table) or "").split("\n\n")[0]
+        if self.name == "type" and not text:
+            return "Says that it is of this kind: " + (inspect.getdoc(self.table) or "").split("\n\n")[0]
         if not text and tables:
             text = " ".join(f"{inspect.getdoc(kind) or ''}".split("\n\n")[0] for kind in tables)
         return " ".join(text.split())

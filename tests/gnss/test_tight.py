@@ -1,21 +1,23 @@
-"""`tight-kf`: the truth from perfect sensors, honest sigmas, what two and three satellites are worth, wrong satellites.
+"""`tight-kf`: the truth from perfect sensors, honest sigmas, wrong satellites, two systems, mistakes.
 
 Full sizes of the acceptance (100 runs) run with TESTBED_GNSS=1; a smaller number else, with the wider bounds of fewer runs.
 """
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from analytic_flight import analytic_flight
 from consistency import errors_of as fifteen_errors
-from outages import WHITE, errors_of, record
+from outages import GYROS_KNOWN, WHITE, errors_of, record
 from scipy.stats import chi2
 
-from estimators.methods.indirect_kf import IndirectKf
+from estimators.core import composition
 from estimators.methods.tight_kf import TightKf
 from testbed.base.errors import InputError
 from testbed.base.schema import validate
+from testbed.data.records import SensorLog
 from testbed.data.registry import list_estimators, make_estimator
 from testbed.data.satellites import name_of
 from testbed.sensors import sense_flight
@@ -44,55 +46,63 @@ def test_perfect_sensors_give_the_truth():
 
 
 def test_sigmas_are_honest_on_white_errors():
-    """Position NEES (3) and NEES of all 17 states, means of the runs at each second, in the central 99 % of chi-square over
+    """Position NEES (3) and NEES of all 17 states, means of the runs at each second, in the central 95 % of chi-square over
     so many runs at 90 % of the times; the mean NIS of a scalar within 3 %."""
     place, whole, nis = [], [], []
     for run in range(RUNS):
-        log, truth, drawn = record(run, 120.0 if FULL else 40.0)
+        log, truth, drawn = record(run, 120.0 if FULL else 40.0, initial=GYROS_KNOWN)
         solution = TightKf(slow_errors="white", gate=False).run(log)
-        k = np.searchsorted(solution.t, solution.covariance_t - 1e-6)
-        epoch = np.round(solution.covariance_t * 5.0).astype(int) - 1
-        clock = np.column_stack(
-            [
-                solution.estimates[f"gnss_clock_{name}"][k] - drawn.constants[f"gnss_clock_{name}"][epoch]
-                for name in ("bias_m", "drift_mps")
-            ]
-        )
-        e = np.hstack([fifteen_errors(solution, truth, drawn), clock])
-        p = solution.covariance
+        e, p = seventeen_errors(solution, truth, drawn), solution.covariance
         place.append(np.einsum("ki,kij,kj->k", e[:, :3], np.linalg.inv(p[:, :3, :3]), e[:, :3]))
         whole.append(np.einsum("ki,kij,kj->k", e, np.linalg.inv(p), e))
         # the first epoch's ranges have set the clock's mean
         nis.append([np.mean((nu.value**2)[50:, 0] / nu.covariance[50:, 0, 0]) for nu in solution.innovations.values()])
+    # of few runs the means at all times rise and fall together, so that a tenth of the times says little
+    outside = 0.05 if FULL else 0.001
     for values, dof in ((place, 3), (whole, 17)):
-        low, high = chi2.ppf([0.005, 0.995], RUNS * dof) / RUNS
+        low, high = chi2.ppf([0.5 * outside, 1.0 - 0.5 * outside], RUNS * dof) / RUNS
         inside = (np.mean(values, axis=0) > low) & (np.mean(values, axis=0) < high)
-        assert np.mean(inside) >= 0.9, (dof, low, high, np.mean(values))
+        assert np.mean(inside) >= 0.9, (dof, low, high, np.mean(inside), np.mean(values))
     assert np.mean(nis, axis=0) == pytest.approx([1.0, 1.0], abs=0.03)
 
 
-def final_errors(runs, filters, keep, **keys):
-    """(filters, runs) horizontal error (m) at the end of a minute with ``keep`` satellites."""
-    out = np.empty((len(filters), runs))
-    for run in range(runs):
-        log, truth, _ = record(run, 150.0, keep=keep, **keys)
-        for k, estimator in enumerate(filters):
-            out[k, run] = np.hypot(*errors_of(estimator.run(log), truth)[-1, :2])
-    return out
+def seventeen_errors(solution, truth, drawn):
+    """(K,17) at the covariance snapshots: the fifteen of `consistency`, then the clock's bias (m) and drift (m/s)."""
+    k = np.searchsorted(solution.t, solution.covariance_t - 1e-6)
+    epoch = np.round(solution.covariance_t * 5.0).astype(int) - 1
+    clock = [
+        solution.estimates[f"gnss_clock_{name}"][k] - drawn.constants[f"gnss_clock_{name}"][epoch]
+        for name in ("bias_m", "drift_mps")
+    ]
+    return np.column_stack([fifteen_errors(solution, truth, drawn), *clock])
 
 
-@pytest.mark.parametrize(("keep", "most"), [(3, 0.25), (2, 0.75)])
-def test_a_few_satellites_are_worth_something(keep, most):
-    """A minute with three or two satellites and a TCXO: rms horizontal error over that of the loosely coupled filter."""
-    loose, tight = final_errors(RUNS, (IndirectKf(), TightKf(slow_errors="white")), keep)
-    ratio = np.sqrt(np.mean(tight**2) / np.mean(loose**2))
-    # ten runs spread a ratio of rms values by a quarter
-    assert ratio <= (most if FULL else 1.25 * most)
+def test_the_clock_of_the_start_has_no_weight():
+    """The first epoch sets the clock's mean and is used again as a measurement. Twice counted it would count for something:
+    a start 30 m and 1 m/s off leaves 1 % of that after an epoch, and as little in height."""
+    log, truth, _ = record(3, 20.0)
+    raw = log.gnss_raw
+    first = raw.t < raw.t[0] + 0.1
+    off = replace(raw, pseudorange=raw.pseudorange + 30.0 * first, range_rate=raw.range_rate + first)
+    moved = SensorLog(log.imu, log.initial, aiding={**log.aiding, "gnss_raw": off})
+    estimator = TightKf(slow_errors="white", gate=False)
+    start = estimator.prepared(moved).start
+    prepared = estimator.prepared(log)
+    assert start[-2:] - prepared.start[-2:] == pytest.approx([30.0, 1.0], abs=0.3)
+    solutions = [composition.run(replace(prepared, start=s)) for s in (start, prepared.start)]
+    k = np.searchsorted(truth.t, raw.t[0]) + 1
+    clock, height = (np.subtract(*(values(s)[k] for s in solutions)) for values in (clock_of, lambda s: s.h))
+    assert abs(clock) < 0.3 and abs(height) < 0.3
+
+
+def clock_of(solution):
+    return solution.estimates["gnss_clock_bias_m"]
 
 
 def test_realistic_errors_are_counted():
-    """All errors on: mean position NEES of 3 degrees in 2 to 4.5 with the slow errors as states; ten times more without."""
-    nees = {"states": [], "white": []}
+    """All errors on: mean position NEES of 3 degrees in 2 to 4.5 with the slow errors as states, and with the same states
+    considered; ten times more without."""
+    nees = {"states": [], "consider": [], "white": []}
     for run in range(RUNS):
         log, truth, _ = record(run, 100.0, white=False)
         for slow, values in nees.items():
@@ -102,8 +112,25 @@ def test_realistic_errors_are_counted():
             values.append(np.mean(np.einsum("ki,kij,kj->k", e, np.linalg.inv(p), e)[20:]))
     # a run's NEES hardly changes in it: the mean of so many of 3 degrees
     low, high = (2.0, 4.5) if FULL else chi2.ppf([0.001, 0.999], 3 * RUNS) / RUNS
-    assert low <= np.mean(nees["states"]) <= high
-    assert np.mean(nees["white"]) > 10.0 * np.mean(nees["states"])
+    for slow in ("states", "consider"):
+        assert low <= np.mean(nees[slow]) <= high, slow
+        assert np.mean(nees["white"]) > 10.0 * np.mean(nees[slow]), slow
+
+
+def test_considered_states_are_never_corrected():
+    """They keep what the log promises of them, mean and sigma; the clock, which they hide, is known less well than where they
+    are estimated, and better than nothing that is told of them: the filter says so."""
+    log, _, _ = record(2, 30.0, white=False)
+    considered, estimated = (TightKf(slow_errors=slow, gate=False).run(log) for slow in ("consider", "states"))
+    slow = [name for name in considered.states if name.startswith(("gnss_iono", "gnss_range", "gnss_tropo"))]
+    assert len(slow) > 10 and not any(considered.estimates[name].any() for name in slow)
+    k = [considered.states.index(name) for name in slow]
+    assert np.allclose(considered.std[-1, k], considered.std[0, k], rtol=1e-3)
+    assert (considered.std[-1, :3] > estimated.std[-1, :3]).all()
+    with pytest.raises(InputError, match="smooth = true needs states that are estimated"):
+        TightKf(slow_errors="consider", smooth=True)
+    with pytest.raises(InputError, match="eskf: consider: 'gyro-scale' is none of the states"):
+        make_estimator("eskf", consider=["gyro-scale"])
 
 
 def test_a_wrong_satellite_is_refused():
