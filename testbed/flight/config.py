@@ -296,6 +296,7 @@ class Waypoints(Manoeuvre):
     radius_m: float | None = Field(default=None, gt=0, le=100_000)
     """A point counts as reached when passed within this."""
     follow: Literal["direct", "legs"] = "direct"
+    """Straight to each point from where it is, or along the line between two points."""
 
 
 class Hover(Manoeuvre):
@@ -303,7 +304,9 @@ class Hover(Manoeuvre):
 
     type: Literal["hover"]
     duration_s: Duration
+    """How long."""
     heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    """Heading at the end, from true north, clockwise."""
 
 
 class _Grounded(Manoeuvre):
@@ -319,6 +322,7 @@ class Park(_Grounded):
 
     type: Literal["park"]
     duration_s: Duration
+    """How long."""
 
 
 class LineUp(_Grounded):

@@ -76,7 +76,7 @@ class AlignmentConfig(Table):
             idle[f"heading = '{self.heading}'"] = ("crab_deg",)
         for reason, keys in idle.items():
             for key in keys:
-                if key in self.model_fields_set:
+                if getattr(self, key) != type(self).model_fields[key].default:
                     raise ValueError(f"{key} would have no effect beside {reason}; leave one of them out")
         return self
 

@@ -179,7 +179,7 @@ def test_shells_are_offered_names(monkeypatch):
     assert offered("testbed run quickstart --estimators ins,direct-e", 4) == ["ins,direct-ekf"]
     assert offered("testbed list se", 2) == ["sensors"]
     assert offered("testbed new ", 2)[:2] == ["estimator", "c-filter"] and len(offered("testbed new ", 2)) == 6
-    assert offered("testbed import n", 2) == ["navego"]
+    assert offered("testbed import na", 2) == ["navego"]
 
 
 def test_run_without_a_scenario_shows_what_can_be_run(capsys, monkeypatch):

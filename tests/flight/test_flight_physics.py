@@ -85,7 +85,6 @@ def test_a_turn_of_the_agile_aircraft_does_not_hang_on_the_step(monkeypatch):
     ends = []
     for factor in (1, 2):
         monkeypatch.setattr(driver, "STEP_HZ", 400.0 * factor)
-        monkeypatch.setattr(driver, "STEPS_PER_CONTROL", 8 * factor)
         flown = driver.fly_script(config, aircraft, folder, 0)
         made = truth.make_trajectory(flown.v_n, flown.q_nb, 50.0, flown.start)
         ends.append((made.lat[-1], made.lon[-1], made.h[-1]))

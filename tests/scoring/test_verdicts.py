@@ -337,4 +337,14 @@ def test_shipped_claims_say_whose_they_are():
 
 
 OWN = ("4-final", "4-on-line")
-OWN_SCENARIOS = ("quickstart", "car-drive", "city-partial", "bank-and-lose", "jamming", "spoofing")
+OWN_SCENARIOS = (
+    "quickstart",
+    "car-drive",
+    "city-partial",
+    "bank-and-lose",
+    "jamming",
+    "spoofing",
+    "whole-flight",
+    "multirotor",
+    "field-mission",
+)
