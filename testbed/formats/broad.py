@@ -27,6 +27,9 @@ from testbed.formats.recording import check_finite, only_file, placed, read_mat
 ORIGIN = (np.radians(52.51), np.radians(13.33), 80.0)
 """Latitude, longitude (rad) and height (m) of the recording, Berlin: it matters to gravity and the Earth's rate alone."""
 
+FURTHEST = 1000.0
+"""Metres; optical tracking reaches across a hall."""
+
 
 def read(config: RecordingConfig, folder: Path) -> Raw:
     """The trial that ``config`` names (part ``trial``; default: the only .mat file of the folder)."""
@@ -79,5 +82,9 @@ def _motion(t: Array, quat: Array, place: Array, path: Path) -> tuple[Array, ...
     norm = np.linalg.norm(quat, axis=1, keepdims=True)
     if (np.abs(norm - 1.0) > 1e-2).any():
         raise InputError(f"{path}: opt_quat at sample {int(np.argmax(np.abs(norm - 1.0)))} is no unit quaternion")
+    if (far := np.abs(place).max(axis=1) > FURTHEST).any():
+        raise InputError(
+            f"{path}: opt_pos at sample {int(np.argmax(far))} lies more than {FURTHEST:g} m from the cameras' origin"
+        )
     ned = ned_of(place)
     return (t, *placed(ORIGIN, ned), np.gradient(ned, t, axis=0), attitudes(quat / norm))
