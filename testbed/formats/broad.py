@@ -79,7 +79,8 @@ def _rows(path: Path, content: dict[str, Array], name: str, width: int) -> Array
 
 def _motion(t: Array, quat: Array, place: Array, path: Path) -> tuple[Array, ...]:
     """t, lat, lon, h, v_n, q_nb: q_nb = (n from ENU) (ENU from sensor) (sensor from b); velocity by differences."""
-    norm = np.linalg.norm(quat, axis=1, keepdims=True)
+    with np.errstate(over="ignore"):  # a norm beyond all numbers is none of a unit quaternion either
+        norm = np.linalg.norm(quat, axis=1, keepdims=True)
     if (np.abs(norm - 1.0) > 1e-2).any():
         raise InputError(f"{path}: opt_quat at sample {int(np.argmax(np.abs(norm - 1.0)))} is no unit quaternion")
     if (far := np.abs(place).max(axis=1) > FURTHEST).any():
