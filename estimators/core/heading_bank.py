@@ -26,9 +26,6 @@ from testbed.physics.rotations import attitude_errors, quat_multiply, rotvec_to_
 
 Array = NDArray[np.float64]
 
-UNKNOWN_STD = np.radians(60.0)
-"""A linearised filter takes the sine of an error for the error: beyond 60° it sees less than 0.83 of it and the cosine, with
-which it weighs, is less than a half. A wider heading is not one start but several."""
 SECTORS = 8
 """The farthest heading is 22.5° from the middle of its sector: there sine and angle differ by 2.5 %."""
 SECTOR_STD = 2.0 * np.pi / SECTORS / np.sqrt(12.0)
@@ -45,14 +42,9 @@ class _Told:
     recording: Recording
 
 
-def heading_unknown(prepared: Prepared) -> bool:
-    """Whether the log starts with a heading that one linearised filter cannot be started with."""
-    return bool(prepared.log.initial.std[8] > UNKNOWN_STD)
-
-
 def require_heading(log: SensorLog, who: str) -> None:
     """Raises InputError where a log starts without a heading: one start is needed to compare filters from it."""
-    if log.initial.std[8] > UNKNOWN_STD:
+    if log.initial.heading_unknown:
         raise InputError(
             f"{who}: the heading at the start is unknown (1 sigma {np.degrees(log.initial.std[8]):.0f}°), and a search compares filters "
             "from one start; [recording.initial] yaw_deg gives it"
@@ -61,12 +53,12 @@ def require_heading(log: SensorLog, who: str) -> None:
 
 def run_or_search(prepared: Prepared) -> NavSolution:
     """`estimators.core.composition.run`, or the bank where the heading is unknown."""
-    return run_bank(prepared) if heading_unknown(prepared) and len(prepared.event_t) else run(prepared)
+    return run_bank(prepared) if prepared.log.initial.heading_unknown and len(prepared.event_t) else run(prepared)
 
 
 def likeliest_start(prepared: Prepared) -> Prepared:
     """The start of the sector that the whole log makes likeliest: for a smoother, which looks ahead anyway."""
-    if not heading_unknown(prepared) or not len(prepared.event_t):
+    if not prepared.log.initial.heading_unknown or not len(prepared.event_t):
         return prepared
     starts = [_turned(prepared, k) for k in range(SECTORS)]
     return starts[int(np.argmax([_tell(start).likelihood[-1] for start in starts]))]

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from estimators.core.timeline import inner
 from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_multiply, quat_to_euler
 
 Array = NDArray[np.float64]
@@ -23,6 +24,8 @@ LEAVE = np.radians(80.0)
 RETURN = np.radians(70.0)
 """Pitch below which b does again: far enough apart that noise does not switch back and forth."""
 HALF = np.sqrt(0.5)
+TURN = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+"""From b to b', as `turn_triple` does it in place."""
 
 
 class Axes(NamedTuple):
@@ -108,7 +111,7 @@ def turn_noise(noise):
         noise[first], noise[first + 2] = noise[first + 2], noise[first]
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def mind_the_pole(model, k):
     """Note the axes of sample ``k``, and change over where the single filter ``model`` has come near the pole of its own."""
     axes, x = model.axes, model.state

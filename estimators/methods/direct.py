@@ -19,7 +19,7 @@ from estimators.core.composition import SNAPSHOT_INTERVAL_S
 from estimators.core.recording import Recording
 from estimators.core.strong_tracking import FILTERS
 from estimators.core.timeline import Timeline, make_timeline, walk
-from estimators.methods.body_axes import HALF, Axes, near_pole, turn_noise, turn_setting, turned_angles
+from estimators.methods.body_axes import HALF, TURN, Axes, near_pole, turn_noise, turn_setting, turned_angles
 from estimators.methods.direct_kernels import MEASUREMENTS, Ekf, Inputs, Tracking, make_work
 from estimators.methods.motion_models import ACCELERATED, Motion, Setting
 from testbed.base.errors import InputError
@@ -28,9 +28,6 @@ from testbed.physics import earth
 from testbed.physics.rotations import euler_error_matrix, eulers_to_quats, quat_multiply, quat_to_euler, wrap
 
 Array = NDArray[np.float64]
-
-TURN = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-"""From b to b' of `body_axes`."""
 
 
 @dataclass(frozen=True)

@@ -309,7 +309,7 @@ def correct(model, k, e):
     note_update(model.keep, model, e, MEASUREMENTS, fading)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def end(model, k):
     """Keep sample ``k``, and stay away from the pole of the Euler angles."""
     record(model, k)

@@ -360,7 +360,7 @@ def record(model, k):
     _mind_the_pole(model, k)
 
 
-@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inner
 def _mind_the_pole(model, k):
     """As `body_axes.mind_the_pole`: all branches change over where their mixture is near the pole of its angles."""
     axes, x, branches = model.axes, model.state, model.branches

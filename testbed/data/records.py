@@ -60,6 +60,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+NO_HEADING_STD = np.pi / np.sqrt(3.0)
+"""1 sigma of a heading that nothing tells: uniform around the circle."""
+UNKNOWN_HEADING_STD = np.radians(60.0)
+"""A linearised filter takes the sine of an error for the error: beyond 60° it sees less than 0.83 of it and the cosine, with
+which it weighs, is less than a half. A wider heading is not one start but several."""
 KNOWN = ("position", "velocity", "attitude")
 """What a reference may know of a motion."""
 
@@ -117,7 +122,7 @@ class Trajectory(Shown):
         """A figure (matplotlib): ground track, height, speed and attitude."""
         from testbed.data import plots
 
-        return plots.motion(self)
+        return plots.motion(self.t, (self.lat, self.lon, self.h), self.v_n, self.q_nb)
 
     def to_frame(self) -> pd.DataFrame:
         """Columns ``time_s, lat_deg, lon_deg, alt_m, v_north_mps.., roll_deg.., gyro_x_radps.., accel_x_mps2..``."""
@@ -253,6 +258,11 @@ class InitialState(Shown):
     gyro_bias: Array
     std: Array
 
+    @property
+    def heading_unknown(self) -> bool:
+        """Whether the heading is one that no linearised filter can be started with, see `UNKNOWN_HEADING_STD`."""
+        return bool(self.std[8] > UNKNOWN_HEADING_STD)
+
 
 @dataclass(frozen=True, init=False, repr=False)
 class SensorLog(Shown):
@@ -310,7 +320,9 @@ class SensorLog(Shown):
         """A figure (matplotlib): angular rate, specific force, and place of the GNSS fixes over time."""
         from testbed.data import plots
 
-        return plots.log(self)
+        gnss, imu = self.gnss, self.imu
+        fixes = None if gnss is None else (gnss.t, (gnss.lat, gnss.lon, gnss.h))
+        return plots.log(imu.t, imu.gyro, imu.accel, fixes)
 
     def to_frame(self) -> pd.DataFrame:
         """The IMU table: ``time_s, gyro_x_radps.., accel_x_mps2..``. Aiding sensors: see `frames`."""

@@ -147,7 +147,7 @@ class NavSolution(Shown):
         """A figure (matplotlib): estimated ground track, height, speed and attitude; errors: `testbed.plot_errors`."""
         from testbed.data import plots
 
-        return plots.motion(self)
+        return plots.motion(self.t, (self.lat, self.lon, self.h), self.v_n, self.q_nb)
 
     def to_frame(self) -> pd.DataFrame:
         """Columns as in `Trajectory`, then biases, estimates, and ``std_`` + state name, as far as the estimator gives them."""

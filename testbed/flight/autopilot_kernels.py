@@ -82,16 +82,16 @@ def clip(value, low, high):
 
 
 @njit(cache=True)
-def desk_views(desk):
-    """Measurements, targets, memory and commands: views of the desk, in this order."""
-    a, b = MEASUREMENTS + TARGETS, MEASUREMENTS + TARGETS + MEMORY
-    return desk[:MEASUREMENTS], desk[MEASUREMENTS:a], desk[a:b], desk[b:]
+def desk_views(desk, measurements, targets, memory):
+    """Measurements, targets, memory and commands: views of the desk, in this order, of these lengths; commands are the rest."""
+    a, b = measurements + targets, measurements + targets + memory
+    return desk[:measurements], desk[measurements:a], desk[a:b], desk[b:]
 
 
 @njit(cache=True)
 def step(desk, gain):
     """One tick of ``gain[PERIOD]`` seconds: fills the commands from the targets and advances the memory."""
-    measured, target, memory, command = desk_views(desk)
+    measured, target, memory, command = desk_views(desk, MEASUREMENTS, TARGETS, MEMORY)
     dt = gain[PERIOD]
     v = max(measured[AIRSPEED], 1.0)
     # the moment of a surface grows with the dynamic pressure, and damping too: gain falls with the square of speed

@@ -117,7 +117,9 @@ class Pilot:
         self.rates = Rates(aircraft.autopilot.rate_hz)
         self.period = self.rates.period
         self.desk = np.zeros(ap.DESK)
-        self.measured, self.target, self.memory, self.command = ap.desk_views(self.desk)
+        self.measured, self.target, self.memory, self.command = ap.desk_views(
+            self.desk, ap.MEASUREMENTS, ap.TARGETS, ap.MEMORY
+        )
         self.memory[ap.SPEED_REFERENCE] = config.initial.speed_mps
         self.memory[ap.PITCH_INTEGRAL] = aircraft.autopilot.elevator_trim
         # a memory view gives plain numbers, in a third of the time that an element of a numpy array takes

@@ -31,7 +31,7 @@ AIM_M = 300.0
 CLEAR_M = 12.0
 """Wheels above the runway at which the climb takes over from the rotation and the gear goes up."""
 TAXI_SIDEWAYS_MPS2, TAXI_RADIUS_M = 0.5, 20.0
-"""A turn on the ground that nobody's coffee minds, and wide enough for a nose wheel that turns by 10 degrees."""
+"""A gentle turn on the ground, and wide enough for a nose wheel that turns by 10 degrees."""
 STEER_S, STEER_LIMIT = 3.0, 0.1
 """Time in which an offset from the centreline is driven back, and the heading (rad) that is spent on it at most."""
 TRIM_PER_S, TRIM_LIMIT = 0.3, 0.4

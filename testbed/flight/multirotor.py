@@ -18,6 +18,7 @@ from testbed.base.errors import FlightError
 from testbed.flight import config as cfg
 from testbed.flight import multirotor_kernels as mk
 from testbed.flight.aircraft import Multirotor
+from testbed.flight.autopilot_kernels import desk_views
 from testbed.flight.driver import GUST_S, SETTLE_MAX_S, STEP_HZ, WIND_RAMP_S, Pilot, Rates, Recording
 from testbed.flight.multirotor_guidance import GENERATORS, TOUCHED_M, RotorSituation, guide
 from testbed.flight.script import ABOUT_S, MOST_SAMPLES, Script, about, check_length
@@ -123,7 +124,9 @@ class MultirotorPilot(Pilot):
             ("temperature_k", KELVIN_PER_RANKINE),
         )
         self.desk = np.zeros(mk.DESK)
-        self.measured, self.target, self.memory, self.command = mk.desk_views(self.desk)
+        self.measured, self.target, self.memory, self.command = desk_views(
+            self.desk, mk.MEASUREMENTS, mk.TARGETS, mk.MEMORY
+        )
         situation = RotorSituation(aircraft, memoryview(self.measured), self.target, self.memory)
         self.situation = self.hovering = situation
         self.guide = lambda manoeuvre: guide(manoeuvre, situation)

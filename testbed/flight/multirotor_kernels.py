@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from testbed.flight.autopilot_kernels import clip
+from testbed.flight.autopilot_kernels import clip, desk_views
 from testbed.physics.earth import G0
 from testbed.physics.rotations import wrap
 
@@ -66,16 +66,9 @@ RATE_INTEGRAL_LIMIT = 0.1
 
 
 @njit(cache=True)
-def desk_views(desk):
-    """Measurements, targets, memory and commands: views of the desk, in this order."""
-    a, b = MEASUREMENTS + TARGETS, MEASUREMENTS + TARGETS + MEMORY
-    return desk[:MEASUREMENTS], desk[MEASUREMENTS:a], desk[a:b], desk[b:]
-
-
-@njit(cache=True)
 def step(desk, gain):
     """One tick of ``gain[PERIOD]`` seconds: keeps the place, fills the commands, advances the memory."""
-    m, target, memory, command = desk_views(desk)
+    m, target, memory, command = desk_views(desk, MEASUREMENTS, TARGETS, MEMORY)
     dt = gain[PERIOD]
     # the truth's place is the integral of the velocity, not JSBSim's place; trapezoids of 5 ms are exact to micrometres
     memory[PLACE_NORTH] += 0.5 * dt * (memory[LAST_NORTH] + m[V_NORTH])

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from testbed.base.errors import InputError
-from testbed.data.records import Array, GnssFixes, ImuSamples, InitialState, MagSamples, Trajectory
+from testbed.data.records import NO_HEADING_STD, Array, GnssFixes, ImuSamples, InitialState, MagSamples, Trajectory
 from testbed.formats import first_motion
 from testbed.formats.config import AlignmentConfig
 from testbed.formats.first_motion import Rest, Start
@@ -36,7 +36,6 @@ MAG_ITERATIONS = 60
 """Heading needs roll and pitch and, in a turn, these need the heading: each round leaves about tan(dip) a/g of the error."""
 MOST_SLOPES = 100
 """Velocities among which slopes are taken: 5000 pairs."""
-UNKNOWN_STD = np.pi / np.sqrt(3.0)
 REFERENCE_STD = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, *np.radians([0.1, 0.1, 0.5])])
 """Smallest sigma of a start from the reference: m, m/s, rad."""
 
@@ -275,14 +274,14 @@ def _levelled(case: _Case) -> tuple[float, float, float, Array]:
     elif heading == "motion":
         yaw, yaw_std = _by_motion(case, level(f_b, np.zeros(3), gravity, 0.0))
     else:
-        yaw, yaw_std = 0.0, UNKNOWN_STD
-    if yaw_std >= UNKNOWN_STD:
+        yaw, yaw_std = 0.0, NO_HEADING_STD
+    if yaw_std >= NO_HEADING_STD:
         case.notes.append(
             f"{case.place}: nothing tells the heading at the start (no course, no magnetometer): it is taken as 0° with the"
             " sigma of a uniform angle, 104°; [recording.initial] yaw_deg gives it"
         )
     # the acceleration is known in n, so that a heading which is not known makes no use of it
-    roll, pitch = level(f_b, motion.a_n if yaw_std < UNKNOWN_STD else np.zeros(3), gravity, yaw)
+    roll, pitch = level(f_b, motion.a_n if yaw_std < NO_HEADING_STD else np.zeros(3), gravity, yaw)
     return roll, pitch, yaw, np.array([level_std, level_std, yaw_std])
 
 
@@ -327,13 +326,13 @@ def _by_motion(case: _Case, tilt: tuple[float, float]) -> tuple[float, float]:
     """Heading and its sigma from the first motion that shows one, carried back by the gyros."""
     gnss, crab = case.gnss, float(np.radians(case.config.crab_deg))
     if gnss is None or len(gnss.t) < 2:
-        return 0.0, UNKNOWN_STD
+        return 0.0, NO_HEADING_STD
     drift = float(case.gyro_std.max())
     ways = (first_motion.carried_back, first_motion.chord)
     told = [way(case.imu, gnss, case.t, tilt, case.gyro_bias, drift, crab) for way in ways]
     found = [course for course in told if course is not None]
     if not found:
-        return 0.0, UNKNOWN_STD
+        return 0.0, NO_HEADING_STD
     course = min(found, key=lambda c: c.std)
     case.notes.append(
         f"{case.place}: the heading at the start is that of the motion at {course.t:.4g} s, carried back by the gyros"

@@ -38,8 +38,6 @@ NIS_RANGE = (0.3, 3.0)
 """Mean NIS of a channel outside of it is told: noise that is off by 1.8 times in sigma, which a data sheet is not."""
 POLE_PITCH_DEG = 80.0
 """Beyond it an error of roll or yaw may be the attitude error times 1 / cos(80°) = 5.8."""
-UNKNOWN_DEG = 60.0
-"""1 sigma of a heading at the start that counts as unknown: half a circle and more lies within two of them."""
 CONVERGED_DEG = 10.0
 """1 sigma of a heading that is known: what an alignment takes for the angle between course and heading."""
 
@@ -130,7 +128,7 @@ def heading_notes(info: Mapping[str, Any]) -> list[str]:
 
 def _final_heading_sigmas(log: SensorLog, solved: Sequence[Any]) -> dict[str, float]:
     """Row -> sigma of the rotation about the vertical at the end (degrees), where the log starts without a heading."""
-    if np.degrees(log.initial.std[8]) < UNKNOWN_DEG:
+    if not log.initial.heading_unknown:
         return {}
     found = {}
     for entry, solution, _ in solved:

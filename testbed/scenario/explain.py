@@ -22,9 +22,8 @@ from testbed.base.errors import InputError, closest
 from testbed.base.schema import unwrap
 
 UNITS = {
-    "deg": "°", "dps": "°/s", "g": "g", "hz": "Hz", "km": "km", "m": "m", "mps": "m/s", "mps2": "m/s²", "ms": "ms",
-    "nm": "nautical miles", "pa": "Pa", "percent": "%", "ppm": "ppm", "rate": "", "s": "s", "ut": "µT",
-    "dbhz": "dB-Hz", "db": "dB", "dbm": "dBm", "kg": "kg", "rad": "rad",
+    "celsius": "°C", "db": "dB", "deg": "°", "dps": "°/s", "g": "g", "hz": "Hz", "kg": "kg", "m": "m", "mg": "mg", "mps": "m/s",
+    "mps2": "m/s²", "pct": "%", "s": "s", "ut": "µT",
 }  # fmt: skip
 """Unit that the last part of a key's name stands for."""
 BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from testbed.base.errors import InputError
-from testbed.data.records import ImuSamples, InitialState, MagSamples, Trajectory
+from testbed.data.records import NO_HEADING_STD, ImuSamples, InitialState, MagSamples, Trajectory
 from testbed.data.specs import ImuSpec, MagSpec, TriadSpec
 from testbed.physics.earth import G0, RATE, earth_rate_n, gravity, metres_per_radian
 from testbed.physics.interpolate import point_state
@@ -27,8 +27,6 @@ REST_MPS = 1e-3
 """What counts as standing: in a minute 6 cm, and 1e-5 m/s² if it came and went within that."""
 STANDING_STD_MPS = 0.001
 """Sigma of the velocity that is set to zero: the bound above."""
-UNKNOWN_STD = math.pi / math.sqrt(3.0)
-"""Of a heading anywhere on the circle, rad."""
 
 
 def align_at_rest(
@@ -105,7 +103,7 @@ def _heading(
 ) -> tuple[float, float]:
     """Heading and its sigma, rad."""
     if config.align_heading == "unknown":
-        return 0.0, UNKNOWN_STD
+        return 0.0, NO_HEADING_STD
     if config.align_heading in (None, "given"):
         return wrap(given), math.radians(config.yaw_deg)
     if mag is None:
