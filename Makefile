@@ -32,7 +32,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
 	@echo "compiling the kernels (once per installation)"
 	rm -rf $(VENV)/first-run
-	$(BIN)/testbed run quickstart --profile smoke --jobs 1 --no-report --out $(VENV)/first-run > /dev/null
+	$(BIN)/testbed run quickstart --profile smoke --jobs 2 --no-report --out $(VENV)/first-run > /dev/null
 	touch $(STAMP)
 
 clean:
