@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from testbed.data.registry import list_estimators, load_plugin, make_estimator
     from testbed.montecarlo.runner import run
     from testbed.pipeline import fly, score, sense
-    from testbed.report.one_run import errors, plot_errors
+    from testbed.report.one_run import plot_errors, solution_errors
     from testbed.scenario import Scenario, list_scenarios, load_scenario
 
 __version__ = "0.1.0"
@@ -39,7 +39,7 @@ _HOME = {
     "testbed.data.records": ("InitialState", "NavSolution", "SensorErrors", "SensorLog", "Trajectory"),
     "testbed.data.registry": ("list_estimators", "load_plugin", "make_estimator"),
     "testbed.montecarlo.runner": ("run",),
-    "testbed.report.one_run": ("errors", "plot_errors"),
+    "testbed.report.one_run": ("plot_errors", "solution_errors"),
     "testbed.scenario": ("Scenario", "list_scenarios", "load_scenario"),
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names}
@@ -53,7 +53,6 @@ __all__ = [
     "SensorLog",
     "TestbedError",
     "Trajectory",
-    "errors",
     "fly",
     "list_estimators",
     "list_scenarios",
@@ -64,6 +63,7 @@ __all__ = [
     "run",
     "score",
     "sense",
+    "solution_errors",
 ]
 
 

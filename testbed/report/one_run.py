@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def errors(trajectory: Trajectory, solution: NavSolution, log: SensorLog | None = None) -> pd.DataFrame:
+def solution_errors(trajectory: Trajectory, solution: NavSolution, log: SensorLog | None = None) -> pd.DataFrame:
     """Error of a solution over time beside the filter's own sigma, a row for each time of the solution.
 
     Columns ``time_s``; ``north_m`` to ``yaw_deg``, estimate minus truth; ``sigma_`` and each of these, 1 sigma, where the filter
@@ -26,14 +26,14 @@ def errors(trajectory: Trajectory, solution: NavSolution, log: SensorLog | None 
 
 
 def plot_errors(trajectory: Trajectory, solution: NavSolution, log: SensorLog | None = None) -> Figure:
-    """Figure (matplotlib) of `errors` with the band of three sigma, a panel for each axis that the filter estimates."""
+    """Figure (matplotlib) of `solution_errors` with the band of three sigma, a panel for each axis that the filter estimates."""
     import matplotlib
 
     from testbed.base.figure_style import STYLE
     from testbed.report.figures import error_traces
     from testbed.scoring.quantities import AXES
 
-    frame = errors(trajectory, solution, log)
+    frame = solution_errors(trajectory, solution, log)
     shown = [axis for axis in AXES if not frame[axis].isna().all()]
     with matplotlib.rc_context(STYLE):
         return error_traces(

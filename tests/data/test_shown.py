@@ -48,7 +48,7 @@ def test_values_in_words(value, words):
 
 def test_errors_with_sigmas_in_one_call(nouns):
     flight, log, solution = nouns
-    frame = testbed.errors(flight, solution, log)
+    frame = testbed.solution_errors(flight, solution, log)
     assert len(frame) == len(solution.t)
     k = len(frame) // 2
     assert frame["v_east_mps"][k] == solution.v_n[k, 1] - np.interp(solution.t[k], flight.t, flight.v_n[:, 1])
@@ -61,3 +61,10 @@ def test_everything_draws_itself(nouns):
     figures.append(testbed.plot_errors(flight, solution, log))
     assert all(isinstance(figure, matplotlib.figure.Figure) and figure.axes for figure in figures)
     assert len(figures[-1].axes) == 9
+
+
+def test_no_public_name_is_an_old_module():
+    """An old module that a plug-in of 0.1 imports becomes an attribute of the package, and would hide the name."""
+    from testbed.base.old_names import MOVED
+
+    assert not {f"testbed.{name}" for name in testbed.__all__} & set(MOVED)
