@@ -32,14 +32,15 @@ def records():
     return rinex.read_navigation(NAVIGATION).records
 
 
-def test_orbits_and_clocks_are_those_of_sidereon(records):
+def test_orbits_and_clocks_are_those_of_both_programs(records):
     """1e-6 m and 1e-9 m of clock: double precision leaves 1e-8 m of 3e7 m, and 1e-12 m of a clock of 1e5 m."""
     for row in rows("orbits.csv"):
         record = records[int(row["record"])]
         start = record.epoch() + datetime.timedelta(seconds=float(row["dt_s"]))
         eph = record.row(start)
         place, _, ea = orbits.orbit(eph, 0.0)
-        assert np.allclose(place, [float(row[f"{axis}_m"]) for axis in "xyz"], rtol=0.0, atol=1e-6), row
+        for theirs in ("{}_m", "{}_rtklib_m"):
+            assert np.allclose(place, [float(row[theirs.format(axis)]) for axis in "xyz"], rtol=0.0, atol=1e-6), row
         eph[orbits.TGD] = 0.0
         offset, _ = orbits.clock(eph, 0.0, ea)
         # the polynomial alone has to be right to its last digits, 1e-16 of 1e-3 s
@@ -93,6 +94,30 @@ def test_delays_are_those_of_both_programs():
         assert dry + wet == pytest.approx(row["tropo_rtklib_m"], abs=1e-9)
     dry, wet = atmosphere.saastamoinen(np.radians(45.0), 3000.0)
     assert dry == pytest.approx(1.597, abs=1e-3) and wet == pytest.approx(0.033, abs=1e-3)
+
+
+def test_dilution_is_that_of_both_programs():
+    """Twenty random skies, 1e-9: inverses of four by four matrices of a condition below 1e4."""
+    for row in rows("dop.csv"):
+        azimuth, elevation = np.array([[float(x) for x in sight.split(":")] for sight in row["sky"].split()]).T
+        level = np.cos(elevation)
+        lines = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(elevation)])
+        hdop, vdop, tdop, pdop = dilution(lines, np.ones(len(lines), dtype=np.int64))
+        for name, mine in (("hdop", hdop), ("vdop", vdop), ("tdop", tdop), ("pdop", pdop)):
+            theirs = [row[name], *([row[f"{name}_rtklib"]] if name != "tdop" else [])]
+            assert [float(x) for x in theirs] == pytest.approx([mine] * len(theirs), rel=1e-9), (name, row)
+
+
+@with_data
+def test_ranges_are_those_of_sidereon():
+    """0.1 mm: sidereon rounds the time of transmission to a microsecond, 3e-5 m at its speed along the line of sight."""
+    sky = rinex.read_navigation(NAVIGATION).sky(datetime.datetime(2021, 9, 22, 2, 30), ["gps"])
+    theirs = {row["satellite"]: float(row["range_m"]) for row in rows("ranges.csv")}
+    r = np.array([-3962108.6617, 3381309.5232, 3668678.6410])
+    shared = [(theirs[n], eph) for n, eph in zip(sky.names, sky.ephemerides, strict=True) if n in theirs]
+    assert len(shared) > 10
+    for distance, eph in shared:
+        assert orbits.received(eph, 0.0, r)[2] == pytest.approx(distance, abs=1e-4)
 
 
 def test_places_go_back_and_forth():

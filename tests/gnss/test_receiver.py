@@ -10,7 +10,7 @@ from scipy.stats import binom
 from testbed.base.errors import InputError
 from testbed.base.schema import validate
 from testbed.data.observations import GnssObservations
-from testbed.gnss.receiver import EXCLUDED, Received, solve
+from testbed.gnss.receiver import EXCLUDED, Received, dilution, solve
 from testbed.gnss.recorded import read_rinex
 from testbed.gnss.sense import fixes_of
 from testbed.physics import earth, ecef
@@ -105,6 +105,14 @@ def test_the_stated_deviations_are_those_of_the_errors():
     off = np.column_stack(earth.position_difference(*fixes.place.T, 0.8, 0.2, 100.0))
     assert np.std(off, axis=0) == pytest.approx(fixes.std[0, :3], rel=0.02)
     assert np.abs(np.mean(off, axis=0)).max() < 4.0 * fixes.std[0, 2] / np.sqrt(20_000)
+
+
+def test_the_dilution_of_a_fix_is_that_of_its_satellites():
+    """Without weights; lines of sight from a fix metres off are turned by a ten millionth."""
+    received, lines = white_epochs(50, 3)
+    fixes = solve(received, 0.0)
+    hdop, vdop, tdop, _ = dilution(lines, np.ones(11, dtype=np.int64))
+    assert np.allclose(fixes.dop, [hdop, vdop, tdop], rtol=1e-5)
 
 
 def test_too_few_satellites_give_no_fix():

@@ -2,6 +2,7 @@
 
 import datetime
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from synthetic import weaving_flight
 from testbed.base.errors import InputError
 from testbed.base.schema import validate
 from testbed.data.records import SensorLog, Trajectory
-from testbed.data.specs import SignalSpec
+from testbed.data.specs import SignalSpec, SpaceSpec
 from testbed.gnss import signals, tracking
 from testbed.gnss.constellation import nominal_sky
 from testbed.physics import earth
@@ -47,18 +48,61 @@ def test_the_clock_has_the_allan_deviation_of_its_figures():
         assert np.sqrt(variance) == pytest.approx(np.sqrt(expected), rel=0.05)
 
 
-def test_slow_errors_have_their_sigmas_and_times():
-    """Gauss-Markov to 3 % and 10 %: 3000 correlation times estimate a sigma to 1.8 % and a time to 2.6 %."""
+def estimated(x, step):
+    """Sigma and correlation time of a Gauss-Markov process of mean zero."""
+    return np.sqrt(np.mean(x**2)), -step / np.log(np.mean(x[1:] * x[:-1]) / np.mean(x**2))
+
+
+def test_a_markov_process_has_its_sigma_and_time():
+    """3 % and 10 %: 15,000 correlation times in steps of a half estimate a sigma to 0.6 % and a time to 1.5 %."""
     for time_s in (25.0, 600.0, 1800.0):
-        step = time_s / 10.0
-        x = signals.Markov(Draws(1), ["gnss.test"], time_s, step)(30_000)[:, 0]
-        lag = np.mean(x[1:] * x[:-1]) / np.mean(x**2)
-        assert np.std(x) == pytest.approx(1.0, rel=0.06)
-        assert -step / np.log(lag) == pytest.approx(time_s, rel=0.1)
+        step = time_s / 2.0
+        sigma, found = estimated(signals.Markov(Draws(1), ["gnss.test"], time_s, step)(30_000)[:, 0], step)
+        assert sigma == pytest.approx(1.0, rel=0.03) and found == pytest.approx(time_s, rel=0.1)
     both = signals.Markov(Draws(1), ["gnss.test"], 25.0, 1.0)
     parts = np.concatenate([both(100), both(57), both(143)])
     whole = signals.Markov(Draws(1), ["gnss.test"], 25.0, 1.0)(300)
     assert np.array_equal(parts, whole)
+
+
+@pytest.mark.parametrize(
+    ("source", "sigma", "time_s"),
+    [
+        ("zenith", 1.2, 1800.0),
+        ("gradient", 0.6, 1800.0),
+        ("ripple", 0.24, 600.0),
+        ("tropo", 0.12, 1800.0),
+        ("gps", 0.6, 36000.0),
+        ("galileo", 0.2, 5400.0),
+        ("multipath", 0.13 + 0.53, 25.0),
+        ("code", 1.0, 0.25),
+    ],
+)
+def test_each_source_has_its_sigma_and_time(source, sigma, time_s):
+    """Each by itself at slants of one: 3 % and 10 % of a long record, 15,000 correlation times. The ionosphere's parts are
+    told apart by who has them: two satellites share the residual at zenith, each has a ripple of a fifth of its own, and the
+    gradient of a half per 1000 km is what a tilt adds."""
+    step = time_s / 2.0
+    sky = nominal_sky(datetime.datetime(2021, 9, 22), ["galileo" if source == "galileo" else "gps"])
+    sky = replace(sky, codes=sky.codes[:2], ephemerides=sky.ephemerides[:2])
+    own = {"iono_sigma": 1.2} if source in ("zenith", "gradient", "ripple") else {}
+    own |= {"tropo_sigma": 0.12} if source == "tropo" else {}
+    own |= {"gps_sigma": 0.6} if source == "gps" else {"galileo_sigma": 0.2} if source == "galileo" else {}
+    receiver = replace(SIGNALS, multipath_zenith=0.0, multipath_horizon=0.0) if source != "multipath" else SIGNALS
+    errors = signals.Errors(sky, SpaceSpec(**own), receiver, Draws(2), step)
+    seen = np.zeros((30_000, 2, signals.COLUMNS))
+    seen[..., signals.IONO_SLANT] = seen[..., signals.TROPO_SLANT] = 1.0
+    made = errors.fast(np.full((30_000, 2), 40.0))[0] if source == "code" else errors.slow(seen)
+    one, other = made.T
+    if source == "gradient":  # the same draws seen with and without a tilt
+        seen[..., signals.TILT] = 1.0
+        one = signals.Errors(sky, SpaceSpec(**own), receiver, Draws(2), step).slow(seen)[:, 0] - one
+    elif source == "ripple":
+        one = (one - other) / np.sqrt(2.0)
+    elif source == "zenith":
+        one, sigma = 0.5 * (one + other), np.hypot(sigma, 0.24 / np.sqrt(2.0))
+    found, lasts = estimated(one, step)
+    assert found == pytest.approx(sigma, rel=0.03) and lasts == pytest.approx(time_s, rel=0.1)
 
 
 def test_code_noise_is_that_of_the_textbook():
@@ -217,6 +261,12 @@ def test_static_fixes_of_a_day_are_realistic():
     assert 2.0 < horizontal < 4.0 and 4.0 < vertical < 8.0 and 1.5 < vertical / horizontal < 2.3
 
 
+def test_static_fixes_of_a_quiet_night_are_better():
+    """0.5 m of ionosphere at zenith: H95 at most 2.7 m, V95 at most 4.5 m, and better than by day."""
+    horizontal, vertical = figures(errors_of_fixes(1, days=1.0, space=replace(SPACE, iono_sigma=0.5)))[:2]
+    assert 1.5 < horizontal <= 2.7 and 2.5 < vertical <= 4.5
+
+
 @LONG
 @pytest.mark.parametrize(
     ("change", "expected", "loose"),
@@ -231,8 +281,6 @@ def test_static_fixes_of_a_day_are_realistic():
 def test_static_fixes_are_those_of_an_independent_simulation(change, expected, loose):
     """Another program's figures of four days (one to seven seeds a row): H95 to 5 %, V95 to 8 %, autocorrelation to 0.05 at 5
     and 60 s and 0.08 at 600 and 1800 s for the default, whose seeds spread by 3 %; twice that for rows of a single seed."""
-    from dataclasses import replace
-
     space = replace(SPACE, iono_sigma=change.get("iono", SPACE.iono_sigma))
     own = SIGNALS
     if "ground" in change:
