@@ -35,6 +35,8 @@ class Measurements(NamedTuple):
     """(M,m) noise variances."""
     parameters: Array
     """(p,) that ``measure`` gets beside each of them."""
+    mix: Array | None = None
+    """(M,m,m) where the noise is correlated: unit lower triangles L, the noise's covariance is then L diag(r) L'."""
 
 
 @dataclass(frozen=True)

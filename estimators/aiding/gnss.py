@@ -34,15 +34,32 @@ def require_gnss(log: SensorLog, name: str) -> GnssFixes:
 
 
 def fixes(log: SensorLog, columns: Columns) -> Measurements:
-    """Latitude, longitude (rad), height (m) and velocity (m/s) of each fix, with the sigmas that the receiver states."""
+    """Latitude, longitude (rad), height (m) and velocity (m/s) of each fix, with the covariance that the receiver states."""
     return _parts_of_fixes(log, columns, slice(0, 6))
 
 
 def _parts_of_fixes(log: SensorLog, columns: Columns, part: slice) -> Measurements:
     gnss = require_gnss(log, "eskf")
     z = np.column_stack([gnss.lat, gnss.lon, gnss.h, gnss.v_n])[:, part]
-    r = np.maximum(gnss.measurement_std(), MINIMUM_STD)[:, part] ** 2
-    return Measurements(gnss.t - gnss.spec.latency_s, z, r, antenna_parameters(gnss, columns))
+    std = np.maximum(gnss.measurement_std(), MINIMUM_STD)
+    t, parameters = gnss.t - gnss.spec.latency_s, antenna_parameters(gnss, columns)
+    if gnss.correlation is None:
+        return Measurements(t, z, std[:, part] ** 2, parameters)
+    r, mix = _decorrelated(std, gnss.correlation)
+    return Measurements(t, z, r[:, part], parameters, mix[:, part, part])
+
+
+def _decorrelated(std: Array, correlation: Array) -> tuple[Array, Array]:
+    """Variances (M,6) D and unit lower triangles (M,6,6) L with L diag(D) L' the covariance: position and velocity apart."""
+    r, mix = np.ones(std.shape), np.tile(np.eye(6), (len(std), 1, 1))
+    for first in (0, 3):
+        own, both = slice(first, first + 3), np.tile(np.eye(3), (len(std), 1, 1))
+        for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
+            both[:, i, j] = both[:, j, i] = correlation[:, first + k]
+        root = np.linalg.cholesky(both) * std[:, own, None]
+        diagonal = np.einsum("kii->ki", root)
+        r[:, own], mix[:, own, own] = diagonal**2, root / diagonal[:, None, :]
+    return r, mix
 
 
 def antenna_parameters(gnss: GnssFixes, columns: Columns) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
-from estimators.blocks.satellites import observations
+from estimators.blocks.satellites import loop_time, observations, remembered
 from estimators.core.lanes import get, put, set_entry
 from estimators.core.lever_arm import lever_arm
 from estimators.core.model import attitude, triple
@@ -28,21 +28,17 @@ SLOW_ERRORS = ("inflate", "white", "states", "consider")
 INFLATION_CAP = 100.0
 """Largest factor on the variance of a slow error: it stands for some tens of seconds at 5 Hz, what a filter of this class
 averages over; without it the filter would forget the satellites in a minute's outage."""
-CLOCK, ISB, GYRO_BIAS, DELAYS, RANGES = range(3, 8)
+CLOCK, ISB, GYRO_BIAS, DELAYS, RANGES, MULTIPATH, CODE = range(3, 10)
 """Places of first columns in the parameters, behind the lever arm; `ABSENT` where a block is not carried."""
-OTHER_SYSTEM, IONO, NORTH, EAST, TROPO, SATELLITE = range(4, 10)
-"""Places in z of a pseudorange, behind the range and the satellite: of which system, slants of the delays, its number."""
+OTHER_SYSTEM, IONO, NORTH, EAST, TROPO, SATELLITE, MULTIPATH_SIGMA, CODE_SIGMA = range(4, 12)
+"""Places in z of a pseudorange, behind the range and the satellite: of which system, slants of the delays, its number, m."""
+WHITE_M = 1e-3
+"""Least white noise of a pseudorange, m: what files round it to. It keeps P regular where every other error has a state."""
 
 
 def _parameters(raw: GnssObservations, columns: Columns) -> Array:
-    blocks = ("gnss-clock", "gnss-isb", "gyro-bias", "gnss-delays", "gnss-ranges")
+    blocks = ("gnss-clock", "gnss-isb", "gyro-bias", "gnss-delays", "gnss-ranges", "gnss-multipath", "gnss-code")
     return np.array([*raw.spec.lever_arm_b, *(columns.get(block, ABSENT) for block in blocks)], dtype=float)
-
-
-def repeated(time_s: float, dt: float) -> float:
-    """Variance of the mean of many samples of a Gauss-Markov process over that of as many independent ones."""
-    keep = float(np.exp(-dt / time_s)) if time_s > 0.0 else 0.0
-    return (1.0 + keep) / (1.0 - keep)
 
 
 def pseudoranges(log: SensorLog, columns: Columns, slow_errors: str = "inflate") -> Measurements:
@@ -50,7 +46,8 @@ def pseudoranges(log: SensorLog, columns: Columns, slow_errors: str = "inflate")
 
     ``slow_errors``: "white" takes the noise of the code alone for its error; "inflate" adds what lasts from epoch to epoch
     as white noise of the same density, up to a factor on its variance; "states" leaves that to the blocks
-    'gnss-delays' and 'gnss-ranges', all but multipath, and so does "consider", for a filter that considers these blocks.
+    'gnss-delays' and 'gnss-ranges', and so does "consider", for a filter that considers these blocks. What has a state
+    in 'gnss-multipath' and 'gnss-code' is no noise; without them it is white noise of the same density.
     """
     if slow_errors not in SLOW_ERRORS:
         raise InputError(f"pseudorange: slow_errors = {slow_errors!r}, must be one of {', '.join(SLOW_ERRORS)}")
@@ -70,24 +67,30 @@ def pseudoranges(log: SensorLog, columns: Columns, slow_errors: str = "inflate")
             iono_mapping(raw.elevation) * iono_tilt(raw.elevation) * np.sin(raw.azimuth),
             tropo_mapping(raw.elevation),
             np.searchsorted(np.unique(raw.sv), raw.sv),
+            _multipath(raw),
+            raw.noise,
         ]
     ).astype(float)
-    variance = _variance(raw, slow_errors)
+    variance = _variance(raw, slow_errors, columns)
     return Measurements(raw.t - raw.spec.latency_s, z, variance[:, None], _parameters(raw, columns))
 
 
-def _variance(raw: GnssObservations, slow_errors: str) -> Array:
+def _multipath(raw: GnssObservations) -> Array:
+    """Sigma (M,) of the code's multipath, m."""
+    own, elevation = raw.spec.signals, np.maximum(raw.elevation, 0.0)
+    return own.multipath_zenith + own.multipath_horizon * np.exp(-elevation / own.multipath_angle)
+
+
+def _variance(raw: GnssObservations, slow_errors: str, columns: Columns) -> Array:
     """R (M,) of the pseudoranges, m²."""
-    noise, own, dt = raw.noise**2, raw.spec.signals, 1.0 / raw.spec.rate_hz
+    noise, dt = raw.noise**2, 1.0 / raw.spec.rate_hz
     if slow_errors == "white":
         return noise
-    loop = repeated(0.25 / own.dll_bandwidth_hz, dt) if own.dll_bandwidth_hz else 1.0
-    slow = np.maximum(raw.sigma**2 - noise, 0.0)
+    code = remembered(loop_time(raw), dt) * noise
     if slow_errors == "inflate":
-        return loop * noise + INFLATION_CAP * slow
-    elevation = np.maximum(raw.elevation, 0.0)
-    multipath = own.multipath_zenith + own.multipath_horizon * np.exp(-elevation / own.multipath_angle)
-    return loop * noise + repeated(own.multipath_time_s, dt) * multipath**2
+        return code + INFLATION_CAP * np.maximum(raw.sigma**2 - noise, 0.0)
+    multipath = remembered(raw.spec.signals.multipath_time_s, dt) * _multipath(raw) ** 2
+    return WHITE_M**2 + code * ("gnss-code" not in columns) + multipath * ("gnss-multipath" not in columns)
 
 
 def rates(log: SensorLog, columns: Columns) -> Measurements:
@@ -134,6 +137,12 @@ def measure_pseudorange(state, imu, parameters, z, residual, h):
         own = ranges + int(z[SATELLITE])
         predicted = predicted + get(state, 1 + own)
         set_entry(h, 0, own, 1.0)
+    for k in range(2):
+        first = int(parameters[MULTIPATH + k])
+        if first >= 0:
+            own = first + int(z[SATELLITE])
+            predicted = predicted + get(state, 1 + own) * z[MULTIPATH_SIGMA + k]
+            set_entry(h, 0, own, z[MULTIPATH_SIGMA + k])
     put(residual, 0, get(z, 0) - predicted)
 
 

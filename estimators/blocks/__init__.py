@@ -58,6 +58,8 @@ class Block:
     summary: str = ""
     chain: tuple[tuple[int, int], ...] = ()
     """Pairs of states of which the first is the integral of the second; both keep their value otherwise."""
+    kept: bool = True
+    """Whether a solution has the states; of a nuisance, and one for each satellite, it has not."""
     named: Callable[[SensorLog], tuple[str, ...]] | None = None
     """Names of the states where the log decides how many there are (one per satellite); ``states`` is then empty."""
 

@@ -1,10 +1,14 @@
 """States of a tightly coupled filter: the receiver's clock, and the slow errors of satellite ranges.
 
 Clock: Brown and Hwang, *Introduction to Random Signals and Applied Kalman Filtering*, 4th ed., section 9.3. Delays in the
-atmosphere and errors of orbits are first-order Gauss-Markov with the figures that the log's specification states. m, m/s.
+atmosphere, errors of orbits, multipath and the noise of a code loop are first-order Gauss-Markov with the figures that the
+log's specification states. The sigma of the last two follows elevation and C/N0, so that their states are of sigma 1 and
+reach a range through the sigma of the moment. m, m/s.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +28,8 @@ CLOCK_STD, DRIFT_STD = 50.0, 1.0
 """What the start of the clock adds to three times the initial errors, m and m/s: ranges of a first epoch are that good."""
 ISB_STD, ISB_WALK = 10.0, 1e-6
 """Between the clocks of two systems: m at the start (broadcast offsets reach it), and (1 mm/√s)²."""
+OUTLASTS = 1.05
+"""Least `remembered` of what is worth a state: below, white noise of 2 % more sigma is the same to a filter."""
 SMALLEST_VARIANCE = 1e-12
 """m²: of an error that a specification does not have, so that P stays regular."""
 
@@ -85,11 +91,6 @@ def delays(log: SensorLog) -> Process:
     return _markov(sigma, np.array([space.iono_time_s] * 3 + [space.tropo_time_s]))
 
 
-def satellites_of(log: SensorLog) -> tuple[str, ...]:
-    """Names of the states of 'gnss-ranges': one per satellite that the log has."""
-    return tuple(f"gnss_range_{name}_m" for name in observations(log, "the block 'gnss-ranges'").satellites())
-
-
 def ranges(log: SensorLog) -> Process:
     """Orbit and clock of each satellite, and its own part of the ionosphere at its mean elevation.
 
@@ -106,6 +107,42 @@ def ranges(log: SensorLog) -> Process:
     drive = 2.0 * orbit**2 / times + 2.0 * ripple**2 / RIPPLE_TIME_S
     zero = np.zeros(len(codes))
     return Process(zero, np.diag(variance), drive, drive / (2.0 * variance), zero)
+
+
+def remembered(time_s: float, dt: float) -> float:
+    """Variance of the mean of many samples of a Gauss-Markov process over that of as many independent ones."""
+    keep = float(np.exp(-dt / time_s)) if time_s > 0.0 else 0.0
+    return (1.0 + keep) / (1.0 - keep)
+
+
+def loop_time(raw: GnssObservations) -> float:
+    """How long a code loop remembers its noise (s): 1/(4 B) of a first-order loop of one-sided bandwidth B."""
+    return 0.25 / raw.spec.signals.dll_bandwidth_hz if raw.spec.signals.dll_bandwidth_hz else 0.0
+
+
+def lasting_noise(raw: GnssObservations) -> tuple[str, ...]:
+    """Blocks of what a receiver adds to its ranges that outlasts an epoch; what does not is white noise."""
+    own, dt = raw.spec.signals, 1.0 / raw.spec.rate_hz
+    multipath = own.multipath_zenith > 0.0 or own.multipath_horizon > 0.0
+    found = ["gnss-multipath"] if multipath and remembered(own.multipath_time_s, dt) > OUTLASTS else []
+    return (*found, *(["gnss-code"] if remembered(loop_time(raw), dt) > OUTLASTS else []))
+
+
+def multipath(log: SensorLog) -> Process:
+    """Multipath of each satellite's code, over its sigma."""
+    raw = observations(log, "the block 'gnss-multipath'")
+    return _markov(np.ones(len(raw.satellites())), np.full(len(raw.satellites()), raw.spec.signals.multipath_time_s))
+
+
+def code(log: SensorLog) -> Process:
+    """Noise of each satellite's code loop, over its sigma."""
+    raw = observations(log, "the block 'gnss-code'")
+    return _markov(np.ones(len(raw.satellites())), np.full(len(raw.satellites()), max(loop_time(raw), 1e-3)))
+
+
+def _each(pattern: str) -> Callable[[SensorLog], tuple[str, ...]]:
+    """Names of a state per satellite that the log has."""
+    return lambda log: tuple(pattern.format(name) for name in observations(log, "a block of satellites").satellites())
 
 
 add_block(
@@ -126,8 +163,15 @@ add_block(
         summary="what models leave of ionosphere and troposphere, four states",
     )
 )
-add_block(
-    Block(
-        "gnss-ranges", (), ranges, summary="orbit and clock error of each satellite, a state each", named=satellites_of
-    )
-)
+for _name, _process, _pattern, _kept, _summary in (
+    ("gnss-ranges", ranges, "gnss_range_{}_m", True, "orbit and clock error of each satellite, a state each"),
+    (
+        "gnss-multipath",
+        multipath,
+        "gnss_multipath_{}",
+        False,
+        "multipath of each satellite over its sigma, a state each",
+    ),
+    ("gnss-code", code, "gnss_code_{}", False, "noise of each satellite's code loop over its sigma, a state each"),
+):
+    add_block(Block(_name, (), _process, summary=_summary, named=_each(_pattern), kept=_kept))

@@ -1,6 +1,6 @@
 """From names of parts and a log to a filter that can run: `compose`, and what a run leaves behind as a `NavSolution`.
 
-Order of the sensor-error states: blocks that add to specific force, blocks that add to angular rate, all others.
+Order of the sensor-error states: see `estimators.core.structure`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from estimators.aiding import Aiding, Measurements
 from estimators.blocks import Block
 from estimators.blocks.imu import white_density
-from estimators.core import calls
+from estimators.core import calls, structure
 from estimators.core.calls import address
+from estimators.core.event_order import in_order, mixes, stacked
 from estimators.core.lanes import WIDTH, aligned
 from estimators.core.model import (
     AUX,
@@ -67,7 +68,7 @@ class Composition:
 
     def blocks(self) -> list[Block]:
         """The blocks in the order of their states. Raises InputError for a name that is unknown or given twice."""
-        return sorted((find_block(name) for name in _once(self.states, "states")), key=_group)
+        return sorted((find_block(name) for name in _once(self.states, "states")), key=structure.group)
 
     def aidings(self) -> list[Aiding]:
         """Raises InputError for a name that is unknown, given twice, or lacks a block that it needs."""
@@ -128,10 +129,6 @@ def _once(names: Sequence[str], key: str) -> Sequence[str]:
     return names
 
 
-def _group(block: Block) -> int:
-    return ("accel", "gyro", "").index(block.adds_to)
-
-
 @dataclass(frozen=True)
 class Prepared:
     """A log as the parts of a filter see it: all numbers that a run starts from, and none that it changes.
@@ -156,6 +153,12 @@ class Prepared:
     events: NDArray[np.int64]
     r: Array
     """(E,m) noise variances of the events."""
+    mix: Array | None = None
+    """(E,m,m) of `Measurements`, where some noise is correlated."""
+
+    def kept_states(self) -> tuple[str, ...]:
+        """Those that a solution has, which are the first."""
+        return self.states[: len(self.states) - structure.not_kept(self.blocks)]
 
 
 def prepare(composition: Composition, log: SensorLog) -> Prepared:
@@ -174,7 +177,7 @@ def prepare(composition: Composition, log: SensorLog) -> Prepared:
         covariance[first : first + size, first : first + size] = process.covariance
     dt = (log.imu.t[-1] - initial.t) / len(log.imu.t)
     measurements = [a.samples(log, columns, **composition.options.get(a.name, {})) for a in aidings]
-    event_t, events = _in_order(measurements)
+    event_t, events = in_order(measurements)
     nav = [[initial.lat, initial.lon, initial.h], initial.v_n, initial.q_nb]
 
     def joined(column: int) -> Array:
@@ -195,16 +198,9 @@ def prepare(composition: Composition, log: SensorLog) -> Prepared:
         measurements=measurements,
         event_t=event_t,
         events=events,
-        r=_stacked(measurements, events, 2),
+        r=stacked(measurements, events, 2),
+        mix=mixes(measurements, events),
     )
-
-
-def _in_order(measurements: Sequence[Measurements]) -> tuple[Array, NDArray[np.int64]]:
-    """Times of all samples in order, and for each its aiding and its row there; at one time in the order of the aidings."""
-    t = np.concatenate([np.zeros(0), *(m.t for m in measurements)])
-    index = [np.column_stack([np.full(len(m.t), k), np.arange(len(m.t))]) for k, m in enumerate(measurements)]
-    order = np.argsort(t, kind="stable")
-    return t[order], np.concatenate([np.zeros((0, 2), dtype=np.int64), *index])[order].astype(np.int64)
 
 
 def run(prepared: Prepared) -> NavSolution:
@@ -217,7 +213,8 @@ def run(prepared: Prepared) -> NavSolution:
 def solution_of(prepared: Prepared, recording: Recording) -> NavSolution:
     """A recording of every sample as the bench wants it."""
     t, state = prepared.log.imu.t, recording.state
-    columns = {name: state[:, AUX + k] for k, name in enumerate(prepared.states[NAV:])}
+    states = prepared.kept_states()
+    columns = {name: state[:, AUX + k] for k, name in enumerate(states[NAV:])}
 
     def taken(names: tuple[str, ...]) -> Array | None:
         return np.column_stack([columns.pop(name) for name in names]) if names[0] in columns else None
@@ -235,7 +232,7 @@ def solution_of(prepared: Prepared, recording: Recording) -> NavSolution:
         covariance_t=t[recording.snapshot_stride - 1 :: recording.snapshot_stride],
         covariance=recording.covariance,
         innovations=_innovations(prepared, recording),
-        states=prepared.states,
+        states=states,
         estimates=columns,
     )
 
@@ -247,6 +244,9 @@ def _innovations(prepared: Prepared, recording: Recording) -> dict[str, Innovati
         mine = (prepared.events[:, 0] == k) & np.isfinite(recording.fading)
         m = len(aiding.channels)
         value, covariance = recording.innovation[mine, :m], recording.innovation_covariance[mine, :m, :m]
+        if prepared.mix is not None:
+            mix = prepared.mix[mine, :m, :m]
+            value, covariance = np.einsum("kab,kb->ka", mix, value), mix @ covariance @ mix.transpose(0, 2, 1)
         refused = recording.fading[mine] == REJECTED
         rejected = refused if prepared.composition.policy_of(aiding)[0].judge is not None else None
         out[aiding.name] = Innovations(prepared.event_t[mine], value, covariance, aiding.channels, rejected)
@@ -260,13 +260,21 @@ def make_timeline_of(prepared: Prepared) -> Timeline:
 
 def make_model(prepared: Prepared, keep: Any) -> Model:
     """A single filter, at its start."""
-    p, scratch = make_covariance(prepared.covariance)
     k, m, n = len(prepared.drive), _rows(prepared), len(prepared.states)
+    spans, eager = structure.spans(prepared.blocks), structure.eager(prepared.blocks)
+    p, scratch = make_covariance(prepared.covariance, eager, spans[3])
     blocks = _blocks(prepared, np.zeros((k, 3)), np.zeros((k, 3)), calls.COUPLE)
     work = _work(lambda *shape: np.zeros(shape), m, n)
-    coupling = Coupling(_spans(prepared), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
+    coupling = Coupling(spans, np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     inputs = Inputs(
-        _imu(prepared.log), prepared.white, prepared.drive, prepared.decay, prepared.centre, *_structure(prepared)
+        _imu(prepared.log),
+        prepared.white,
+        prepared.drive,
+        prepared.decay,
+        prepared.centre,
+        structure.chain(prepared.blocks),
+        eager,
+        structure.estimated(prepared.blocks, prepared.composition.consider),
     )
     events, error = _events(prepared, prepared.r, calls.MEASURE), prepared.composition.error_code()
     return Model(inputs, blocks, events, error, prepared.start.copy(), p, scratch, coupling, work, keep)
@@ -282,8 +290,10 @@ def make_lanes(prepared: Prepared, white: Array, drive: Array, r: Array, keep: A
 
     blocks = _blocks(prepared, table(k, 3), table(k, 3), calls.COUPLE_LANES)
     work = _work(table, m, n)
-    coupling = Coupling(_spans(prepared), table(k, 3), table(k, 3), np.zeros(k))
-    inputs = Inputs(_imu(prepared.log), white, drive, prepared.decay, prepared.centre, *_structure(prepared))
+    coupling = Coupling(structure.spans(prepared.blocks), table(k, 3), table(k, 3), np.zeros(k))
+    chain = structure.chain(prepared.blocks)
+    estimated = structure.estimated(prepared.blocks, prepared.composition.consider)
+    inputs = Inputs(_imu(prepared.log), white, drive, prepared.decay, prepared.centre, chain, n, estimated)
     state = table(AUX + k)
     state[:] = prepared.start[:, None]
     events = _events(prepared, r, calls.MEASURE_LANES)
@@ -304,6 +314,7 @@ def _work(array: Callable[..., Array], m: int, n: int) -> Work:
         x=array(n),
         scalars=array(m, 2),
         scratch=array(4, n),
+        drive=array(n - NAV),
         dt=np.zeros(1),
     )
 
@@ -314,22 +325,6 @@ def _imu(log: SensorLog) -> Array:
 
 def _rows(prepared: Prepared) -> int:
     return max([1, *(len(a.channels) for a in prepared.aidings)])
-
-
-def _spans(prepared: Prepared) -> NDArray[np.int64]:
-    """First and last + 1 sensor-error state that add to specific force, then to angular rate."""
-    ends = np.cumsum([sum(len(b.states) for b in prepared.blocks if b.adds_to == kind) for kind in ("accel", "gyro")])
-    return np.array([0, ends[0], ends[0], ends[1]], dtype=np.int64)
-
-
-def _structure(prepared: Prepared) -> tuple[NDArray[np.int64], Array]:
-    """Pairs of sensor-error states of which the first is the integral of the second; and which states are estimated."""
-    pairs, first = [], 0
-    for block in prepared.blocks:
-        pairs += [(first + i, first + j) for i, j in block.chain]
-        first += len(block.states)
-    estimated = [np.full(len(b.states), b.name not in prepared.composition.consider) for b in prepared.blocks]
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2), np.concatenate([np.ones(NAV), *estimated])
 
 
 def _blocks(prepared: Prepared, accel: Array, gyro: Array, signature: Any) -> Blocks:
@@ -355,16 +350,6 @@ def _couple_once(block: Block, accel: Array, gyro: Array) -> None:
         target[...] = made if target.ndim == 2 else made[..., None]
 
 
-def _stacked(measurements: Sequence[Measurements], events: NDArray[np.int64], column: int) -> Array:
-    """Measurements (1) or variances (2) of all events in order, (E,m); a shorter one is filled up with ones."""
-    out = np.ones((len(events), max([1, *(m.z.shape[1] for m in measurements)])))
-    for k, measured in enumerate(measurements):
-        mine = events[:, 0] == k
-        values = measured[column][events[mine, 1]]
-        out[mine, : values.shape[1]] = values
-    return out
-
-
 def _events(prepared: Prepared, r: Array, signature: Any) -> Events:
     aidings = prepared.aidings
     count = len(aidings)
@@ -381,8 +366,9 @@ def _events(prepared: Prepared, r: Array, signature: Any) -> Events:
         memory[k, : len(values)] = values
     return Events(
         np.ascontiguousarray(prepared.events[:, 0]),
-        _stacked(prepared.measurements, prepared.events, 1),
+        stacked(prepared.measurements, prepared.events, 1),
         r,
+        np.zeros((0, r.shape[1], r.shape[1])) if prepared.mix is None else prepared.mix,
         np.array([len(a.channels) for a in aidings], dtype=np.int64),
         np.array([address(a.measure, signature) for a in aidings], dtype=np.int64),
         parameters,
@@ -395,5 +381,6 @@ def make_recording(prepared: Prepared, stride: int = 1) -> Recording:
     """Room for what a run leaves behind: every ``stride``-th sample, and covariances about once a second."""
     t = prepared.log.imu.t
     every = min(len(t), max(1, round(SNAPSHOT_INTERVAL_S * (len(t) - 1) / (t[-1] - t[0]))))
-    sizes = len(prepared.start), len(prepared.states), _rows(prepared)
+    kept = len(prepared.kept_states())
+    sizes = AUX - NAV + kept, kept, _rows(prepared)
     return empty_recording(len(t), len(prepared.events), sizes, every, stride)

@@ -14,6 +14,7 @@ from estimators.core.calls import NOTHING, call_couple, call_couple_lanes, call_
 from estimators.core.lanes import entry, get, put, set_entry
 from estimators.core.model import AUX, INVARIANT, REJECTED, Model, attitude, is_single, put_triple, scaled, triple
 from estimators.core.nav_errors import coefficients
+from estimators.core.postponed import catch_up, postpone
 from estimators.core.propagate import (
     NAV,
     add_noise,
@@ -36,6 +37,10 @@ from testbed.physics.rotations import (
     quat_to_matrix,
     rotvec_to_quat,
 )
+
+SAME_STEP = 1e-11
+"""Steps (s) closer than this fade alike: differences of times after half a day are no more exact, and a fast state, of a
+tenth of a second, is kept to 1e-10."""
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -72,9 +77,11 @@ def predict(model, k, dt, part):
 @inner
 def spread(model, motion, middle, dt):
     """Carry the covariance over a step of ``dt`` that `move` made."""
+    eager, drive = model.inputs.eager, model.work.drive
     propagate(model.p, model.propagation, model.coupling, motion, dt)
-    integrate_pairs(model.p, model.work.h.shape[1], model.inputs.chain, dt)
-    add_noise(model.p, middle, model.inputs.white, model.inputs.drive, dt)
+    integrate_pairs(model.p, eager, model.inputs.chain, dt)
+    add_noise(model.p, middle, model.inputs.white, drive[: eager - NAV], dt)
+    postpone(model.p, model.propagation, model.coupling, drive, motion, dt)
 
 
 @inner
@@ -82,6 +89,7 @@ def move(model, k, dt, part):
     """The state's share of `predict`: returns the motion as `propagate` takes it, and C_nb in the middle of the step."""
     state, clean, corrections = model.state, model.work.clean, model.work.corrections
     decay, centre, keep, last_dt = model.inputs.decay, model.inputs.centre, model.coupling.keep, model.work.dt
+    spans = model.coupling.spans
     _clean(model, k)
     rotation, change = compensate(
         scaled(triple(clean, 0), dt),
@@ -97,10 +105,13 @@ def move(model, k, dt, part):
     put_triple(state, 3, v_end)
     for i in range(4):
         put(state, 6 + i, q_end[i])
-    if dt != last_dt[0]:
+    if np.abs(dt - last_dt[0]) > SAME_STEP:
         last_dt[0] = dt
         for i in range(decay.shape[0]):
             keep[i] = np.exp(-dt * decay[i])
+            # what drives a state loses of itself within the step; errors of the IMU are integrated as they were driven
+            faded = -np.expm1(-2.0 * dt * decay[i]) / (2.0 * dt * decay[i]) if decay[i] > 0.0 and i >= spans[3] else 1.0
+            put(model.work.drive, i, get(model.inputs.drive, i) * faded)
     chain = model.inputs.chain
     for c in range(chain.shape[0]):
         i, j = AUX + chain[c, 0], AUX + chain[c, 1]
@@ -108,7 +119,6 @@ def move(model, k, dt, part):
     for i in range(decay.shape[0]):
         put(state, AUX + i, centre[i] + keep[i] * (get(state, AUX + i) - centre[i]))
     middle = mean_matrix(quat_to_matrix(q), quat_to_matrix(q_end))
-    spans = model.coupling.spans
     _turn(middle, model.blocks.accel, model.coupling.accel, spans[0], spans[1])
     _turn(middle, model.blocks.gyro, model.coupling.gyro, spans[2], spans[3])
     return (rates, force, v), middle
@@ -128,13 +138,28 @@ def observe(model, k, e):
         for i in range(h.shape[1]):
             set_entry(h, a, i, 0.0)
     _measure(model, kind, e, residual, h)
+    if events.mix.shape[0]:
+        _unmix(events.mix[e], residual, h)
     return count
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def _unmix(mix, residual, h):
+    """Residual and H times L^-1, L = ``mix``: measurements whose noise is independent, in the order of the channels."""
+    for a in range(residual.shape[0]):
+        for b in range(a):
+            share = mix[a, b]
+            if share != 0.0:
+                put(residual, a, get(residual, a) - share * get(residual, b))
+                for i in range(h.shape[1]):
+                    set_entry(h, a, i, entry(h, a, i) - share * entry(h, b, i))
 
 
 @inner
 def correct(model, k, e):
     """Use event ``e`` at the present state, which lies within IMU sample ``k``."""
     x, p, kind = model.work.x, model.p, model.events.kind[e]
+    catch_up(model)
     count = observe(model, k, e)
     residual, h, r = model.work.residual[:count], model.work.h[:count], model.work.r[:count]
     fading = _judge(model, kind, residual, h, r)

@@ -40,6 +40,8 @@ class Inputs(NamedTuple):
     """(k,) what they return to."""
     chain: NDArray[np.int64]
     """(c,2) sensor-error states of which the first is the integral of the second."""
+    eager: int
+    """Error states that each sample carries; those behind wait for a measurement (`estimators.core.postponed`)."""
     estimated: Array
     """(n,) 1, or 0 of a state that is considered: it counts in the covariance, and is never corrected."""
 
@@ -66,6 +68,8 @@ class Events(NamedTuple):
     """(E,m) measurement."""
     r: Array
     """(E,m) noise variances."""
+    mix: Array
+    """(E,m,m) unit lower triangles L, the noise's covariance is L diag(r) L'; (0,m,m) where none is correlated."""
     rows: NDArray[np.int64]
     """(A,) length of an aiding's measurement."""
     measures: NDArray[np.int64]
@@ -103,8 +107,10 @@ class Work(NamedTuple):
     """(m,2) see `update`"""
     scratch: Array
     """(4,n)"""
+    drive: Array
+    """(k,) densities that, times a step, are what the variances of the sensor-error states gain in it."""
     dt: Array
-    """(1,) the step that the coupling's ``keep`` is of."""
+    """(1,) the step that ``drive`` and the coupling's ``keep`` are of."""
 
 
 class Model(NamedTuple):

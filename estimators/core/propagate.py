@@ -2,7 +2,7 @@
 
 A sensor-error state fades by ``keep`` over the step and adds to specific force or angular rate through a column of
 ``accel`` or ``gyro`` (k,3), in n. Only nine rows of Phi have structure, so P takes two passes of `nav_errors`: nine rows of
-Phi P, then nine columns of (Phi P) Phi'; the rest follows from symmetry. A single filter takes eight columns of P as lanes;
+Phi P, then nine columns of (Phi P) Phi'; all else follows from symmetry. A single filter takes eight columns of P as lanes;
 filters that run side by side take a lane each.
 """
 
@@ -48,6 +48,27 @@ class Scratch(NamedTuple):
     """The same transposed, (n,2 WIDTH); unused where filters run side by side."""
     keep: Array
     """``keep`` of every column of P; unused likewise."""
+    phi: Array
+    """Of `estimators.core.postponed`, as all below: how the states that wait are reached since they were last carried."""
+    transition: Array
+    """``phi`` as a matrix."""
+    waited: Array
+    """What every state has kept since then, by columns of P."""
+    kept: Array
+    """``waited`` as a vector."""
+    noise: Array
+    """(n,) what their variances have gained."""
+    pending: Array
+    """(1,) how long that is, s."""
+
+
+POSTPONE_FROM = 3
+"""Registers of columns that must be spared: to multiply a transition up costs two, or three with many couplings."""
+
+
+def eager_states(n: int, tied: int) -> int:
+    """How many of ``n`` states are carried over each sample, of which the first ``tied`` have to be: whole registers."""
+    return blocks_of(tied) * WIDTH if blocks_of(n) - blocks_of(tied) >= POSTPONE_FROM else n
 
 
 def blocks_of(n: int) -> int:
@@ -55,15 +76,35 @@ def blocks_of(n: int) -> int:
     return (n + WIDTH - 1) // WIDTH
 
 
-def make_covariance(p0: Array) -> tuple[Array, Scratch]:
-    """Covariance (n, whole registers) that starts as ``p0`` (n,n), and its scratch."""
+def make_covariance(p0: Array, eager: int | None = None, coupled: int = 0) -> tuple[Array, Scratch]:
+    """Covariance (n, whole registers) that starts as ``p0`` (n,n), and its scratch.
+
+    ``eager``: how many states each sample carries, all by default; of those ``coupled`` add to the IMU.
+    """
     n, blocks = len(p0), blocks_of(len(p0))
+    eager = n if eager is None else eager
     table = aligned(n * blocks)
     p = table.reshape(n, blocks * WIDTH)
     p[:, :n] = p0
     keep = aligned(blocks)
     keep[:] = 1.0
-    return p, Scratch(table, aligned(NAV * blocks), aligned(2 * n), keep)
+    return p, Scratch(
+        table,
+        aligned(NAV * blocks_of(eager)),
+        aligned(2 * eager),
+        keep,
+        *_waiting(n, NAV + coupled if eager < n else 0),
+    )
+
+
+def _waiting(n: int, states: int) -> tuple[Array, ...]:
+    """What `Scratch` keeps of the states that wait, of ``n``; ``states`` reach them, 0 where none waits."""
+    blocks = blocks_of(states)
+    phi, waited = aligned(max(states * blocks, 1)), aligned(blocks_of(n))
+    transition = phi[: states * blocks].reshape(states, blocks * WIDTH)
+    transition[:, :states] = np.eye(states)
+    waited[:] = 1.0
+    return phi, transition, waited, waited.reshape(-1), np.zeros(n), np.zeros(1)
 
 
 def make_covariances(p0: Array) -> tuple[Array, Scratch]:
@@ -71,7 +112,8 @@ def make_covariances(p0: Array) -> tuple[Array, Scratch]:
     n = len(p0)
     table = aligned(n * n)
     table[:] = p0.reshape(-1, 1)
-    return table.reshape(n, n, WIDTH), Scratch(table, aligned(NAV * n), aligned(1), aligned(1))
+    scratch = Scratch(table, aligned(NAV * n), aligned(1), aligned(1), *_waiting(n, 0))
+    return table.reshape(n, n, WIDTH), scratch
 
 
 def propagate(p, scratch, coupling, motion, dt):
@@ -92,7 +134,7 @@ def _triple(table, row, step):
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def _store_errors(table, row, step, errors):
+def store_errors(table, row, step, errors):
     r, u, p = errors
     for i in range(3):
         store(table, row + i * step, r[i])
@@ -113,7 +155,7 @@ def _added(source, first, step, weights, start, stop):
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def _moved(source, first, step, coupling, motion, dt):
+def moved(source, first, step, coupling, motion, dt):
     """The nine errors in rows ``first + step * state`` after the step; ``coupling`` = (spans, accel, gyro)."""
     spans, accel, gyro = coupling
     force = _added(source, first, step, accel, spans[0], spans[1])
@@ -136,28 +178,28 @@ def transition(unit, rows, coupling, motion, dt):
     blocks = rows.shape[0] // NAV
     couples = coupling.spans, coupling.accel, coupling.gyro
     for b in range(blocks):
-        _store_errors(rows, b, blocks, _moved(unit, b, blocks, couples, motion, dt))
+        store_errors(rows, b, blocks, moved(unit, b, blocks, couples, motion, dt))
 
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _columns_as_lanes(p, scratch, coupling, motion, dt):
-    n, keep, table, fade = p.shape[0], coupling.keep, scratch.p, scratch.keep
-    blocks = p.shape[1] // WIDTH
     moved_rows, moved_columns = scratch.rows, scratch.columns
-    rows, columns = moved_rows.reshape(NAV, p.shape[1]), moved_columns.reshape(n, 2 * WIDTH)
+    n, keep, table, fade = moved_columns.shape[0] // 2, coupling.keep, scratch.p, scratch.keep
+    blocks, own = p.shape[1] // WIDTH, moved_rows.shape[0] // NAV
+    rows, columns = moved_rows.reshape(NAV, own * WIDTH), moved_columns.reshape(n, 2 * WIDTH)
     couples = coupling.spans, coupling.accel, coupling.gyro
-    for b in range(blocks):
-        _store_errors(moved_rows, b, blocks, _moved(table, b, blocks, couples, motion, dt))
+    for b in range(own):
+        store_errors(moved_rows, b, own, moved(table, b, blocks, couples, motion, dt))
     for j in range(n):
         for i in range(NAV):
             columns[j, i] = rows[i, j]
     for i in range(NAV, n):
         fade[i // WIDTH, i % WIDTH] = keep[i - NAV]
     for i in range(NAV, n):
-        for b in range(1, blocks):
+        for b in range(1, own):
             store(table, i * blocks + b, load(table, i * blocks + b) * (keep[i - NAV] * load(fade, b)))
     for b in range(2):
-        _store_errors(table, b, blocks, _moved(moved_columns, b, 2, couples, motion, dt))
+        store_errors(table, b, blocks, moved(moved_columns, b, 2, couples, motion, dt))
     for i in range(NAV):
         for j in range(i):
             p[i, j] = p[j, i]
@@ -174,9 +216,9 @@ def _filters_as_lanes(p, scratch, coupling, motion, dt):
     couples = coupling.spans, coupling.accel, coupling.gyro
     for j in range(n):
         # By symmetry of P a row serves as column.
-        _store_errors(rows, j, n, _moved(table, n * j, 1, couples, motion, dt))
+        store_errors(rows, j, n, moved(table, n * j, 1, couples, motion, dt))
     for i in range(NAV):
-        _store_errors(table, n * i, 1, _moved(rows, n * i, 1, couples, motion, dt))
+        store_errors(table, n * i, 1, moved(rows, n * i, 1, couples, motion, dt))
     for i in range(NAV):
         for j in range(i):
             store(table, n * i + j, load(table, n * j + i))
@@ -265,7 +307,8 @@ def _gain(p, n, first, change):
         set_entry(p, first, j, entry(p, first, j) + (east * change[2] - down * change[1]))
         set_entry(p, first + 1, j, entry(p, first + 1, j) + (down * change[0] - north * change[2]))
         set_entry(p, first + 2, j, entry(p, first + 2, j) + (north * change[1] - east * change[0]))
-    for j in range(n):
+    # of the columns only those that meet these rows: all others are rows already
+    for j in range(first, first + 3):
         north, east, down = entry(p, j, 6), entry(p, j, 7), entry(p, j, 8)
         set_entry(p, j, first, entry(p, j, first) + (east * change[2] - down * change[1]))
         set_entry(p, j, first + 1, entry(p, j, first + 1) + (down * change[0] - north * change[2]))

@@ -8,6 +8,7 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from estimators.core.postponed import catch_up, present_std
 from estimators.core.timeline import INLINED
 
 Array = NDArray[np.float64]
@@ -18,12 +19,12 @@ class Recording(NamedTuple):
 
     stride: int
     state: Array
-    """(N // stride, 10 + k)"""
+    """(N // stride, 10 + k), or as many of its first columns as are kept"""
     std: Array
-    """(N // stride, n)"""
+    """(N // stride, n), likewise"""
     snapshot_stride: int
     covariance: Array
-    """(K,n,n)"""
+    """(K,n,n), likewise"""
     innovation: Array
     """(E,m), NaN where an event lies outside of the IMU's time"""
     innovation_covariance: Array
@@ -89,16 +90,18 @@ def _record_update(keep, model, e, count, fading):
 
 def _record_sample(keep, model, k):
     state, p, states, std = model.state, model.p, keep.state, keep.std
+    snapshot_due = (k + 1) % keep.snapshot_stride == 0
+    if snapshot_due:
+        catch_up(model)
     if (k + 1) % keep.stride == 0:
         row = k // keep.stride
-        for i in range(state.shape[0]):
+        for i in range(states.shape[1]):
             states[row, i] = state[i]
-        for i in range(p.shape[0]):
-            std[row, i] = np.sqrt(p[i, i])
-    if (k + 1) % keep.snapshot_stride == 0:
+        present_std(model, std[row])
+    if snapshot_due:
         snapshot = keep.covariance[k // keep.snapshot_stride]
-        for i in range(p.shape[0]):
-            for j in range(p.shape[0]):
+        for i in range(snapshot.shape[0]):
+            for j in range(snapshot.shape[0]):
                 snapshot[i, j] = p[i, j]
 
 

@@ -8,6 +8,7 @@ truth. SI units and radians.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -125,6 +126,8 @@ class Searcher:
 
     def _filter(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
         prepared = self._prepared
+        if any(getattr(candidate, "measurement_noise", None) is not None for candidate in candidates):
+            prepared = replace(prepared, mix=None)  # deviations of the candidates' own, without correlations
         lanes = [candidates[min(lane, len(candidates) - 1)].noise(prepared) for lane in range(WIDTH)]
         noise = []
         for values in zip(*lanes, strict=True):

@@ -21,6 +21,7 @@ from estimators.core.composition import Prepared, make_model, make_recording, ma
 from estimators.core.filter import begin, correct, move, record, retract, spread
 from estimators.core.lanes import WIDTH, aligned
 from estimators.core.model import INVARIANT, REJECTED, Model
+from estimators.core.postponed import catch_up
 from estimators.core.propagate import NAV, blocks_of, make_covariance, transition
 from estimators.core.timeline import SAME_TIME, Timeline, inner, steps, walk
 from testbed.data.records import NavSolution
@@ -113,7 +114,16 @@ def smooth(prepared: Prepared, segment: int | None = None) -> NavSolution:
 
 def _carried(model: Model, line: Timeline) -> list[NDArray[Any]]:
     """All that a filter may carry from one sample to the next."""
-    in_use = (*model.blocks[2:], *model.coupling[1:], *model.work)
+    waiting = model.propagation
+    in_use = (
+        *model.blocks[2:],
+        *model.coupling[1:],
+        *model.work,
+        waiting.phi,
+        waiting.waited,
+        waiting.noise,
+        waiting.pending,
+    )
     return [model.state, model.p, model.events.memory, *in_use, line.now, line.place]
 
 
@@ -173,6 +183,7 @@ def _predict(taped, k, dt, part):
 def _correct(taped, k, e):
     model, tape = taped.model, taped.tape
     before, p, n = tape.before, model.p, tape.before.shape[0]
+    catch_up(model)
     for i in range(n):
         for j in range(n):
             before[i, j] = p[i, j]
@@ -216,6 +227,7 @@ def _gains(before, fading, h, scalars, gain, count):
 @njit(cache=True, nogil=True, _nrt=False)
 def _record(taped, k):
     model, tape = taped.model, taped.tape
+    catch_up(model)
     i = _next(tape, SAMPLE)
     for j in range(tape.state.shape[1]):
         tape.state[i, j] = model.state[j]

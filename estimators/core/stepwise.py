@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from estimators.core.composition import Prepared, make_model, make_recording, make_timeline_of, solution_of
 from estimators.core.filter import begin, correct, observe, predict, record
 from estimators.core.model import AUX, REJECTED, put_triple, triple
+from estimators.core.postponed import catch_up
 from estimators.core.propagate import NAV
 from estimators.core.timeline import SAME_TIME
 from estimators.core.update import innovation_covariance
@@ -68,6 +69,7 @@ def look(line, model, e):
     What the filter goes on with stays as it is.
     """
     work = model.work
+    catch_up(model)
     rate, force = triple(work.clean, 0), triple(work.clean, 3)
     count = observe(model, line.place[0], e)
     put_triple(work.clean, 0, rate)
@@ -81,6 +83,12 @@ def look(line, model, e):
 def use(line, model, e):
     """Correct the filter by event ``e``."""
     correct(model, line.place[0], e)
+
+
+@njit(cache=True, nogil=True)
+def up_to_now(model):
+    """Bring the covariance up to the time of the state."""
+    catch_up(model)
 
 
 @njit(cache=True, nogil=True)
@@ -136,17 +144,26 @@ class Stepwise:
             places[:] = places[np.argsort(prepared.events[places, 1])]
         self._of_event = [(self._names[kind], int(row)) for kind, row in prepared.events]
         # R of its own, which `update` may change.
-        self._model = self._model._replace(events=self._model.events._replace(r=np.array(prepared.r)))
+        events = self._model.events
+        self._model = self._model._replace(events=events._replace(r=np.array(prepared.r), mix=np.array(events.mix)))
         filter_ = self._line, self._model
         self._go_on = _compiled(go_on, *filter_, self._whole, 0)
         self._look, self._use = (_compiled(kernel, *filter_, 0) for kernel in (look, use))
-        n = len(prepared.states)
+        self._catch_up = _compiled(up_to_now, self._model)
         self.state = State(self._model.state, prepared.states[NAV:])
         """See `State`; a view, always of the present."""
         self.states = prepared.states
         """Names of the rows of `P`."""
-        self.P = self._model.p[:n, :n]
-        """Covariance of the errors, a view: metres, m/s, rotation vector in n, sensor-error states."""
+
+    @property
+    def P(self) -> Array:
+        """Covariance of the errors, a view of the present: metres, m/s, rotation vector in n, sensor-error states.
+
+        Where states wait (`estimators.core.postponed`) it is carried on for every look; that is rounded otherwise than by `run`.
+        """
+        n = len(self.states)
+        self._catch_up(self._model)
+        return self._model.p[:n, :n]
 
     @property
     def t(self) -> float:
@@ -180,20 +197,24 @@ class Stepwise:
         else:
             row = self._model.events.r[e]
             stated, row[:] = row.copy(), self._variances(aiding, R, len(row))
+            mix = self._mix(e, len(row))
+            as_stated, mix[:] = mix.copy(), np.eye(len(row))
             self._use(self._line, self._model, e)
-            row[:] = stated
+            row[:], mix[:] = stated, as_stated
         return bool(self._recording.fading[e] != REJECTED)
 
     def innovation(self, aiding: str, j: int) -> tuple[Array, Array]:
         """What sample ``j`` of an aiding would tell: z minus its prediction (m,), and the covariance H P H' + R of it."""
-        m = self._look(self._line, self._model, self._find(aiding, j))
-        work = self._model.work
-        return work.residual[:m].copy(), work.s[: m * m].reshape(m, m).copy()
+        e = self._find(aiding, j)
+        m = self._look(self._line, self._model, e)
+        work, mix = self._model.work, self._mix(e, len(self._model.events.r[e]))[:m, :m]
+        return mix @ work.residual[:m], mix @ work.s[: m * m].reshape(m, m) @ mix.T
 
     def R(self, aiding: str, j: int) -> Array:
         """The stated noise variances (m,) of sample ``j`` of an aiding."""
         e = self._find(aiding, j)
-        return self._model.events.r[e, : self._model.events.rows[self._prepared.events[e, 0]]].copy()
+        m, r = self._model.events.rows[self._prepared.events[e, 0]], self._model.events.r[e]
+        return (self._mix(e, len(r)) ** 2 @ r)[:m]
 
     def solution(self) -> NavSolution:
         """What was recorded at the end of each IMU sample. Raises InputError before the last one is done."""
@@ -204,6 +225,11 @@ class Stepwise:
             )
         finish(self._model, self._k)
         return solution_of(self._prepared, self._recording)
+
+    def _mix(self, e: int, width: int) -> Array:
+        """How the noise of an event is correlated, see `estimators.core.model.Events`; a view where it is."""
+        mix = self._model.events.mix
+        return mix[e] if len(mix) else np.eye(width)
 
     def _find(self, aiding: str, j: int) -> int:
         """The event that is sample ``j`` of an aiding, once a sample is open."""

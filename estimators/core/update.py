@@ -62,8 +62,9 @@ def update_considering(x, p, residual, h, r, scalars, scratch, estimated):
             if estimated is not None:
                 gain = gain * estimated[i]
             set_entry(scratch, 1, i, gain)
+            set_entry(scratch, 2, i, entry(scratch, 0, i) - 0.5 * variance * gain)
             set_entry(scratch, 3, i, entry(scratch, 3, i) + gain * left)
-        _joseph(p, h, a, get(r, a), scratch)
+        _joseph(p, n, scratch)
     for i in range(n):
         put(x, i, get(x, i) + entry(scratch, 3, i))
 
@@ -82,26 +83,17 @@ def _product(p, h, a, scratch, row):
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def _joseph(p, h, a, variance, scratch):
-    """P = (I - K h) P (I - K h)' + K r K' for one scalar measurement; rows of scratch: P h', K, then free."""
-    n = h.shape[1]
+def _joseph(p, n, scratch):
+    """P = (I - K h) P (I - K h)' + K r K' for one scalar measurement, whatever the gain K.
+
+    With S = h P h' + r and c = P h' - K S / 2, which are rows 1 and 2 of scratch, that is P - K c' - c K': the same form
+    multiplied out, one pass over P, and symmetric to the last bit, as the two products only change places.
+    """
     for i in range(n):
-        gain = entry(scratch, 1, i)
+        gain, rest = entry(scratch, 1, i), entry(scratch, 2, i)
         for j in range(n):
-            set_entry(p, i, j, entry(p, i, j) - gain * entry(scratch, 0, j))
-    for i in range(n):
-        set_entry(scratch, 2, i, 0.0)
-    for j in range(n):
-        weight = entry(h, a, j)
-        if not is_zero(weight):
-            for i in range(n):
-                set_entry(scratch, 2, i, entry(scratch, 2, i) + weight * entry(p, i, j))
-    for i in range(n):
-        rest = variance * entry(scratch, 1, i) - entry(scratch, 2, i)
-        for j in range(i + 1):
-            value = entry(p, i, j) + rest * entry(scratch, 1, j)
-            set_entry(p, i, j, value)
-            set_entry(p, j, i, value)
+            change = gain * entry(scratch, 2, j) + rest * entry(scratch, 1, j)
+            set_entry(p, i, j, entry(p, i, j) - change)
 
 
 @njit(cache=True, nogil=True, _nrt=False)

@@ -85,7 +85,8 @@ class IndirectKf:
         require_gnss(log, self.name)
         prepared = prepare(Composition(), log)
         white, drive, r = self.noise(prepared)
-        return replace(prepared, white=white, drive=drive, r=r)
+        own = self.measurement_noise is not None  # deviations alone
+        return replace(prepared, white=white, drive=drive, r=r, mix=None if own else prepared.mix)
 
     def noise(self, prepared: Prepared) -> tuple[Array, Array, Array]:
         """Spectral densities (6,) of the IMU and (6,) of what drives the biases; noise variances (E,6) of the fixes."""

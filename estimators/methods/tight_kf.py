@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from estimators.aiding.ranges import SLOW_ERRORS
-from estimators.blocks.satellites import observations
+from estimators.blocks.satellites import lasting_noise, observations
 from estimators.core.composition import Composition, Prepared, prepare
 from estimators.core.heading_bank import likeliest_start, run_or_search
 from estimators.core.smoother import smooth
@@ -32,7 +32,9 @@ class TightKf:
 
     ``slow_errors``: how errors that last (orbits, atmosphere, multipath) are counted: "states" estimates them, a state per
     satellite and four for the atmosphere, so that the filter's sigma is honest; "consider" counts the same states and never
-    corrects them (Schmidt); "inflate" takes larger noise for them, which is twice as fast; "white" leaves them out. ``gate``: false for a filter that takes every measurement.
+    corrects them (Schmidt). Both have two further states per satellite, which are estimated: multipath and the noise of the
+    code loop outlast an epoch. "inflate" takes larger noise for all of this, which is twice as fast; "white" leaves it out.
+    ``gate``: false for a filter that takes every measurement.
     ``range_gate``, ``rate_gate``: chance that a good one passes. ``smooth``: states given the whole log.
     """
 
@@ -59,10 +61,13 @@ class TightKf:
 
     def composition(self, log: SensorLog) -> Composition:
         """The parts, which follow the systems that the log has."""
-        states = ["accel-bias", "gyro-bias", "gnss-clock"]
-        if len(np.unique(observations(log, f"estimator '{self.name}'").systems())) > 1:
+        states, raw = ["accel-bias", "gyro-bias", "gnss-clock"], observations(log, f"estimator '{self.name}'")
+        if len(np.unique(raw.systems())) > 1:
             states.append("gnss-isb")
-        slow = ("gnss-delays", "gnss-ranges") if self.slow_errors in ("states", "consider") else ()
+        slow: tuple[str, ...] = ()
+        if self.slow_errors in ("states", "consider"):
+            slow = ("gnss-delays", "gnss-ranges")
+            states += lasting_noise(raw)
         policy: Mapping[str, Any] = {
             "doppler": {"gate-each": {"one": self.rate_gate}} if self.gate else "plain",
             "pseudorange": {"gate-each": {"one": self.range_gate}} if self.gate else "plain",

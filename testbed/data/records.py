@@ -8,7 +8,7 @@ quaternions body-to-nav and scalar first. Time is in seconds from the start of t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import EllipsisType
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -200,7 +200,9 @@ class GnssFixes(Samples):
     """``t`` (M,), ``lat``, ``lon`` (rad), ``h`` (m), ``v_n`` (M,3): of the antenna. No rows while there is an outage.
 
     ``outages`` are the (start, end) times without fixes, as far as the receiver reports them. ``std`` (M,6), where it
-    is given, is the 1-sigma of each fix (m north, east, down; m/s) as the receiver states it.
+    is given, is the 1-sigma of each fix (m north, east, down; m/s) as the receiver states it, and ``correlation`` (M,6),
+    which comes with it, how its errors hang together: north with east, north with down, east with down, of position and
+    then of velocity.
     """
 
     lat: Array
@@ -210,8 +212,15 @@ class GnssFixes(Samples):
     spec: GnssSpec = field(default_factory=GnssSpec)
     outages: tuple[tuple[float, float], ...] = ()
     std: Array | None = None
+    correlation: Array | None = None
     kind: ClassVar[str] = "gnss"
     shapes: ClassVar[Mapping[str, tuple[int | None, ...]]] = {"lat": (), "lon": (), "h": (), "v_n": (3,)}
+
+    def taken(self, rows: Any, **changes: Any) -> GnssFixes:
+        """Some of the rows, by a mask, a slice or their numbers; ``changes`` as of `dataclasses.replace`."""
+        arrays = ("t", "lat", "lon", "h", "v_n", "std", "correlation")
+        kept: dict[str, Any] = {key: value[rows] for key in arrays if (value := getattr(self, key)) is not None}
+        return replace(self, **(kept | changes))
 
     def measurement_std(self) -> Array:
         """(M,6) 1-sigma per fix: the receiver's own, else the specification's. Order m N, E, D, then m/s N, E, D."""

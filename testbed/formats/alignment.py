@@ -163,9 +163,7 @@ def _source(config: AlignmentConfig, gnss: GnssFixes | None, reference: Trajecto
 
 
 def _from(gnss: GnssFixes, t: float) -> GnssFixes:
-    keep = gnss.t >= t - 1e-9
-    rows = {key: getattr(gnss, key)[keep] for key in ("t", "lat", "lon", "h", "v_n")}
-    return replace(gnss, **rows, std=None if gnss.std is None else gnss.std[keep])
+    return gnss.taken(gnss.t >= t - 1e-9)
 
 
 def _known_motion(case: _Case, given: Given, moves_at: float) -> None:
@@ -379,9 +377,7 @@ def from_first_fix(
     std = np.maximum(gnss.measurement_std()[0], 1e-3)
     if start is not None:
         std[3:] = max(start.v_std, 1e-3)
-    rest = {key: getattr(gnss, key)[1:] for key in ("t", "lat", "lon", "h", "v_n")}
-    remaining = replace(gnss, **rest, std=None if gnss.std is None else gnss.std[1:])
-    return float(lat), float(lon), float(h), v_n, std, remaining
+    return float(lat), float(lon), float(h), v_n, std, gnss.taken(slice(1, None))
 
 
 def reference_at(reference: Trajectory, t: float) -> tuple[float, float, float, Array, Array]:

@@ -106,5 +106,4 @@ def _inside(t: np.ndarray, windows: Windows) -> np.ndarray:
 
 
 def _rows(gnss: GnssFixes, keep: np.ndarray, outages: Windows) -> GnssFixes:
-    rows = {key: getattr(gnss, key)[keep] for key in ("t", "lat", "lon", "h", "v_n")}
-    return replace(gnss, **rows, std=None if gnss.std is None else gnss.std[keep], outages=outages)
+    return gnss.taken(keep, outages=outages)

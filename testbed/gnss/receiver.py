@@ -59,6 +59,8 @@ class Fixes(NamedTuple):
     """(E,3) m/s"""
     std: Array
     """(E,6) m north, east, down; m/s"""
+    correlation: Array
+    """(E,6) north with east, north with down, east with down, of position and of velocity"""
     clock: Array
     """(E,3) clocks against both systems (m), drift (m/s)"""
     dop: Array
@@ -85,6 +87,7 @@ def solve(received: Received, false_alarm: float = 1e-3) -> Fixes:
     fixes = Fixes(
         nothing(3),
         nothing(3),
+        nothing(6),
         nothing(6),
         nothing(3),
         nothing(3),
@@ -243,11 +246,11 @@ def _report(received, first, last, epoch, work, fixes):
     x = work.x
     lat, lon, h = ecef_to_geodetic(x[0], x[1], x[2])
     axes = north_east_down(lat, lon)
-    north_down, both = np.zeros(3), np.zeros(3)
+    north_down = np.zeros(3)
     _normal_equations(received, first, last, work, x)
     if not _invert(work):
         return
-    _variances(work.inverse, axes, both)
+    _state(work.inverse, axes, fixes.std[epoch, :3], fixes.correlation[epoch, :3])
     _dilution(received, first, last, work, x)
     if not _invert(work):
         return
@@ -259,12 +262,10 @@ def _report(received, first, last, epoch, work, fixes):
     if not v[4] > 0.0:
         return
     fixes.place[epoch, 0], fixes.place[epoch, 1], fixes.place[epoch, 2] = lat, lon, h
-    rates = np.zeros(3)
-    _variances(work.inverse, axes, rates)
+    _state(work.inverse, axes, fixes.std[epoch, 3:], fixes.correlation[epoch, 3:])
     for i in range(3):
         row = axes[i]
         fixes.v_n[epoch, i] = row[0] * v[0] + row[1] * v[1] + row[2] * v[2]
-        fixes.std[epoch, i], fixes.std[epoch, 3 + i] = np.sqrt(both[i]), np.sqrt(rates[i])
     fixes.clock[epoch, 0], fixes.clock[epoch, 1], fixes.clock[epoch, 2] = x[3], x[4], v[3]
     fixes.dop[epoch, 0] = np.sqrt(north_down[0] + north_down[1])
     fixes.dop[epoch, 1], fixes.dop[epoch, 2] = np.sqrt(north_down[2]), np.sqrt(time)
@@ -279,10 +280,27 @@ def _report(received, first, last, epoch, work, fixes):
 def _variances(inverse, axes, out):
     """Diagonal of the covariance's position part in n."""
     for i in range(3):
-        out[i] = 0.0
-        for j in range(3):
-            for k in range(3):
-                out[i] += axes[i][j] * inverse[j, k] * axes[i][k]
+        out[i] = _in_n(inverse, axes[i], axes[i])
+
+
+@njit(cache=True, nogil=True)
+def _in_n(inverse, a, b):
+    """Covariance along two axes of n."""
+    total = 0.0
+    for j in range(3):
+        for k in range(3):
+            total += a[j] * inverse[j, k] * b[k]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _state(inverse, axes, std, correlation):
+    """Deviations north, east, down and their correlations."""
+    for i in range(3):
+        std[i] = np.sqrt(_in_n(inverse, axes[i], axes[i]))
+    correlation[0] = _in_n(inverse, axes[0], axes[1]) / (std[0] * std[1])
+    correlation[1] = _in_n(inverse, axes[0], axes[2]) / (std[0] * std[2])
+    correlation[2] = _in_n(inverse, axes[1], axes[2]) / (std[1] * std[2])
 
 
 @njit(cache=True, nogil=True)

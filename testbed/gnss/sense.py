@@ -319,6 +319,7 @@ def fixes_of(
         observations.spec,
         windows,
         accuracy_scale * fixes.std[known],
+        fixes.correlation[known],
     )
     judged = {"residual": np.nan_to_num(fixes.residual), "used": fixes.used.astype(float)}
     return made, GnssObservations(**{**vars(observations), **judged}), fixes

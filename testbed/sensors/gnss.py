@@ -203,9 +203,9 @@ _NED = ("north", "east", "down")
 def _stored(fixes: GnssFixes) -> tuple[dict[str, Array], dict[str, Any]]:
     """A stored log keeps radians, which degrees would round, the receiver's accuracy and its outages."""
     table = SENSOR.table(fixes) | {"lat_rad": fixes.lat, "lon_rad": fixes.lon}
-    return table | ({} if fixes.std is None else columns("std_{}", range(6), fixes.std)), {
-        "outages": list(fixes.outages)
-    }
+    for name, values in (("std_{}", fixes.std), ("correlation_{}", fixes.correlation)):
+        table |= {} if values is None else columns(name, range(6), values)
+    return table, {"outages": list(fixes.outages)}
 
 
 def _restored(table: Mapping[str, Array], meta: Mapping[str, Any], spec: GnssSpec) -> GnssFixes:
@@ -218,6 +218,7 @@ def _restored(table: Mapping[str, Array], meta: Mapping[str, Any], spec: GnssSpe
         spec=spec,
         outages=tuple((a, b) for a, b in meta["outages"]),
         std=stack(table, "std_{}", range(6)) if "std_0" in table else None,
+        correlation=stack(table, "correlation_{}", range(6)) if "correlation_0" in table else None,
     )
 
 
