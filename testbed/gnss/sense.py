@@ -33,6 +33,9 @@ BLOCK = 2048
 """Epochs that are simulated at a time: memory stays below some tens of megabytes."""
 MINIMUM_SIGMA, MINIMUM_RATE_SIGMA = 1e-3, 1e-4
 """m and m/s: what a receiver without errors states, as weights must be finite."""
+GLANCE_S, BELOW = 60.0, np.radians(2.0)
+"""How often satellites are looked for, and below the horizon how far: in a minute they rise by half a degree, and an aircraft
+of 300 m/s sees another 0.2 degrees."""
 IONO_KNOWN = 0.9
 """A receiver's sigma of the ionosphere over the sigma of the zenith residual times the mapping: the residual of a line of
 sight is not known better than its part that all satellites share."""
@@ -89,6 +92,7 @@ def sense_satellites(
     trajectory, moments = antenna.trajectory, antenna.moments
     sky, disable = sky_of(config), config.disable
     _check(config, sky, trajectory)
+    sky = above(sky, antenna, spec.rate_hz)
     step = 1.0 / spec.rate_hz
     errors = s.Errors(sky, spec.space, spec.signals, draws, step)
     clock = s.ReceiverClock(spec.signals, draws, step, "clock" not in disable)
@@ -105,6 +109,20 @@ def sense_satellites(
     observations = GnssObservations(**table, spec=spec)
     truth = np.concatenate(clocks) if clocks else np.zeros((0, 2))
     return observations, {"gnss_clock_bias_m": truth[:, 0], "gnss_clock_drift_mps": truth[:, 1]}
+
+
+def above(sky: Sky, antenna: Antenna, rate_hz: float) -> Sky:
+    """The satellites that come above the horizon while the antenna is listened to.
+
+    The others are not received, and nothing that is drawn for them reaches any other: leaving them out changes no number.
+    """
+    t = antenna.moments
+    if not len(t):
+        return sky
+    t = np.append(t[:: max(1, round(GLANCE_S * rate_hz))], t[-1])
+    seen = s.look(_site(antenna.trajectory, t, antenna.arm_b), _broadcast(sky), 0.0)
+    risen = (seen[..., s.ELEVATION] > -BELOW).any(axis=0)
+    return replace(sky, codes=sky.codes[risen], ephemerides=sky.ephemerides[risen])
 
 
 def _check(config: SatellitesConfig, sky: Sky, trajectory: Trajectory) -> None:

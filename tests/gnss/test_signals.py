@@ -14,7 +14,7 @@ from testbed.base.errors import InputError
 from testbed.base.schema import validate
 from testbed.data.records import SensorLog, Trajectory
 from testbed.data.specs import SignalSpec, SpaceSpec
-from testbed.gnss import signals, tracking
+from testbed.gnss import sense, signals, tracking
 from testbed.gnss.constellation import nominal_sky
 from testbed.physics import earth
 from testbed.physics.rotations import eulers_to_quats, quat_rotate_inverse
@@ -169,6 +169,24 @@ def test_a_lost_satellite_changes_no_other():
     assert not ((b.sv == code) & (b.t >= 5.0) & (b.t < 15.0)).any()
     for field in ("t", "pseudorange", "range_rate", "cn0"):
         assert np.array_equal(getattr(a, field)[a.sv != code], getattr(b, field)[b.sv != code])
+
+
+def test_satellites_below_the_horizon_need_not_be_drawn(monkeypatch):
+    """The same bytes with and without those that never rise, in a record of two hours that many rise in; and the same bytes
+    a second time."""
+    t = np.arange(0.0, 7200.0, 5.0)
+    n, zero = len(t), np.zeros((len(t), 3))
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    flight = Trajectory(t, 0.8 + 1e-5 * t, np.zeros(n), np.full(n, 500.0), zero, level, zero, zero)
+    keys = {"rate_hz": 0.1, "satellites": {"systems": ["gps", "galileo"]}}
+    made = [record(flight, **keys)[0]["gnss_raw"] for _ in range(2)]
+    monkeypatch.setattr(sense, "above", lambda sky, antenna, rate_hz: sky)
+    made.append(record(flight, **keys)[0]["gnss_raw"])
+    first = np.unique(made[0].sv[made[0].t < 100.0])
+    assert len(np.unique(made[0].sv)) > len(first) + 4
+    for other in made[1:]:
+        for field in ("t", "sv", "pseudorange", "range_rate", "cn0", "lock_time", "used"):
+            assert np.array_equal(getattr(made[0], field), getattr(other, field)), field
 
 
 def test_walls_hide_what_lies_behind_them():
