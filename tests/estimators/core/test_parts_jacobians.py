@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from analytic_flight import analytic_flight
-from filter_steps import begin, predict, retract
+from filter_steps import begin, catch_up, predict, retract
 from numba import njit
 
 from estimators.core import calls
@@ -217,6 +217,7 @@ def test_block_in_the_loop(block):
         model.work.whole[:], model.work.clean[:] = 0.0, model.inputs.imu[k - 1]  # nothing taken off before
         begin(model, k, dt)
         predict(model, k, dt, 1.0)
+        catch_up(model)
         end, model.state[:] = model.state.copy(), start
         return end
 
