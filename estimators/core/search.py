@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.composition import Composition, Prepared, make_lanes, make_timeline_of, prepare
-from estimators.core.lanes import WIDTH, aligned, get, put
+from estimators.core.lanes import WIDTH, aligned
 from estimators.core.recording import keeper
 from estimators.core.timeline import walk
 from testbed.base.errors import InputError
@@ -73,17 +73,17 @@ keeper(Score, _add_deviance, _add_squares)
 @njit(cache=True, nogil=True, _nrt=False)
 def add_squares(state, row, squares):
     """Add the squares of the errors of ``state`` (10+k,WIDTH) against a row of truth to ``squares`` (9,WIDTH)."""
-    east = np.mod(get(state, 1) - row[1] + np.pi, 2.0 * np.pi) - np.pi
+    east = np.mod(state[1] - row[1] + np.pi, 2.0 * np.pi) - np.pi
     errors = (
-        (get(state, 0) - row[0]) * row[9],
+        (state[0] - row[0]) * row[9],
         east * row[10],
-        row[2] - get(state, 2),
-        get(state, 3) - row[3],
-        get(state, 4) - row[4],
-        get(state, 5) - row[5],
+        row[2] - state[2],
+        state[3] - row[3],
+        state[4] - row[4],
+        state[5] - row[5],
     )
     for i in range(6):
-        put(squares, i, get(squares, i) + errors[i] * errors[i])
+        squares[i] = squares[i] + errors[i] * errors[i]
     for lane in range(WIDTH):
         euler = quat_to_euler((state[6, lane], state[7, lane], state[8, lane], state[9, lane]))
         for i in range(3):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from estimators.core.lanes import entry, get, is_zero, put, set_entry
+from estimators.core.lanes import is_zero
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -19,12 +19,12 @@ def innovation_covariance(p, h, r, s, scratch):
     for a in range(m):
         _product(p, h, a, scratch, 0)
         for b in range(a + 1):
-            total = get(r, a) if a == b else 0.0 * get(r, a)
+            total = r[a] if a == b else 0.0 * r[a]
             for i in range(n):
-                if not is_zero(entry(h, b, i)):
-                    total = total + entry(h, b, i) * entry(scratch, 0, i)
-            set_entry(s, a, b, total)
-            set_entry(s, b, a, total)
+                if not is_zero(h[b, i]):
+                    total = total + h[b, i] * scratch[0, i]
+            s[a, b] = total
+            s[b, a] = total
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -47,26 +47,26 @@ def update_considering(x, p, residual, h, r, scalars, scratch, estimated):
     """
     m, n = h.shape[0], h.shape[1]
     for i in range(n):
-        set_entry(scratch, 3, i, 0.0)
+        scratch[3, i] = 0.0
     for a in range(m):
-        variance, left = get(r, a), get(residual, a)
+        variance, left = r[a], residual[a]
         _product(p, h, a, scratch, 0)
         for i in range(n):
-            if not is_zero(entry(h, a, i)):
-                variance = variance + entry(h, a, i) * entry(scratch, 0, i)
-                left = left - entry(h, a, i) * entry(scratch, 3, i)
-        set_entry(scalars, a, 0, left)
-        set_entry(scalars, a, 1, variance)
+            if not is_zero(h[a, i]):
+                variance = variance + h[a, i] * scratch[0, i]
+                left = left - h[a, i] * scratch[3, i]
+        scalars[a, 0] = left
+        scalars[a, 1] = variance
         for i in range(n):
-            gain = entry(scratch, 0, i) / variance
+            gain = scratch[0, i] / variance
             if estimated is not None:
                 gain = gain * estimated[i]
-            set_entry(scratch, 1, i, gain)
-            set_entry(scratch, 2, i, entry(scratch, 0, i) - 0.5 * variance * gain)
-            set_entry(scratch, 3, i, entry(scratch, 3, i) + gain * left)
+            scratch[1, i] = gain
+            scratch[2, i] = scratch[0, i] - 0.5 * variance * gain
+            scratch[3, i] = scratch[3, i] + gain * left
         _joseph(p, n, scratch)
     for i in range(n):
-        put(x, i, get(x, i) + entry(scratch, 3, i))
+        x[i] = x[i] + scratch[3, i]
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
@@ -74,12 +74,12 @@ def _product(p, h, a, scratch, row):
     """Row ``row`` of scratch = P h_a'; P is symmetric, so its rows serve as columns."""
     n = h.shape[1]
     for i in range(n):
-        set_entry(scratch, row, i, 0.0)
+        scratch[row, i] = 0.0
     for j in range(n):
-        weight = entry(h, a, j)
+        weight = h[a, j]
         if not is_zero(weight):
             for i in range(n):
-                set_entry(scratch, row, i, entry(scratch, row, i) + weight * entry(p, j, i))
+                scratch[row, i] = scratch[row, i] + weight * p[j, i]
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
@@ -90,10 +90,10 @@ def _joseph(p, n, scratch):
     multiplied out, one pass over P, and symmetric to the last bit, as the two products only change places.
     """
     for i in range(n):
-        gain, rest = entry(scratch, 1, i), entry(scratch, 2, i)
+        gain, rest = scratch[1, i], scratch[2, i]
         for j in range(n):
-            change = gain * entry(scratch, 2, j) + rest * entry(scratch, 1, j)
-            set_entry(p, i, j, entry(p, i, j) - change)
+            change = gain * scratch[2, j] + rest * scratch[1, j]
+            p[i, j] = p[i, j] - change
 
 
 @njit(cache=True, nogil=True, _nrt=False)
