@@ -6,7 +6,6 @@ import numpy as np
 
 from estimators.aiding import ABSENT, Aiding, Columns, Measurements, add_aiding
 from estimators.blocks.sensors import samples_of
-from estimators.core.lanes import get, put, set_entry
 from testbed.data.records import SensorLog
 from testbed.physics.atmosphere import isa_gradient, isa_height
 
@@ -33,12 +32,12 @@ def heights(log: SensorLog, columns: Columns) -> Measurements:
 
 def measure_height(state, imu, parameters, z, residual, h):
     column = int(parameters[0])
-    predicted = get(state, 2)
-    set_entry(h, 0, 2, -1.0)
+    predicted = state[2]
+    h[0, 2] = -1.0
     if column >= 0:
-        predicted = predicted + get(state, 1 + column) * get(z, 1)
-        set_entry(h, 0, column, get(z, 1))
-    put(residual, 0, get(z, 0) - predicted)
+        predicted = predicted + state[1 + column] * z[1]
+        h[0, column] = z[1]
+    residual[0] = z[0] - predicted
 
 
 add_aiding(Aiding("baro", "baro", ("height, m",), measure_height, heights, summary="height of the standard atmosphere"))

@@ -14,7 +14,6 @@ from numba import njit
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
 from estimators.aiding.standstill import stops
 from estimators.blocks.sensors import samples_of
-from estimators.core.lanes import entry, get, put, set_entry
 from estimators.core.model import attitude, triple
 from estimators.policies import positive
 from testbed.base.errors import InputError
@@ -41,7 +40,7 @@ def speed_along(state, imu, parameters, u, h, row):
     What the turning Earth adds to the derivative by attitude, 7e-5 rad/s times the arm, is left out.
     """
     m, v, arm = quat_to_matrix(attitude(state)), triple(state, 3), triple(parameters, 0)
-    earth_n, _, earth_d = earth.earth_rate_n(get(state, 0))
+    earth_n, _, earth_d = earth.earth_rate_n(state[0])
     sweep = cross(triple(imu, 0), arm)
     drag = cross((earth_n, 0.0, earth_d), matrix_rotate(m, arm))
     over_ground = (v[0] - drag[0], v[1] - drag[1], v[2] - drag[2])
@@ -54,10 +53,10 @@ def speed_along(state, imu, parameters, u, h, row):
     by_attitude, by_bias = cross(u_n, v), cross(u, arm)
     first = column_of(parameters, GYRO_BIAS)
     for i in range(3):
-        set_entry(h, row, 3 + i, u_n[i])
-        set_entry(h, row, 6 + i, by_attitude[i])
+        h[row, 3 + i] = u_n[i]
+        h[row, 6 + i] = by_attitude[i]
         if first >= 0:
-            set_entry(h, row, first + i, by_bias[i])
+            h[row, first + i] = by_bias[i]
     return u[0] * v_b[0] + u[1] * v_b[1] + u[2] * v_b[2], v_b
 
 
@@ -66,8 +65,8 @@ def mounting(state, parameters):
     """Angles of the rolling direction about y and z, to first order: 4e-5 of the speed is lost at 0.5 degrees."""
     column = column_of(parameters, MOUNTING)
     if column >= 0:
-        return get(state, 1 + column), get(state, 2 + column)
-    return 0.0 * get(state, 0), 0.0 * get(state, 0)
+        return state[1 + column], state[2 + column]
+    return 0.0 * state[0], 0.0 * state[0]
 
 
 def measure_odometer(state, imu, parameters, z, residual, h):
@@ -76,15 +75,15 @@ def measure_odometer(state, imu, parameters, z, residual, h):
     scale, column = column_of(parameters, SCALE), column_of(parameters, MOUNTING)
     stretch = 1.0 + 0.0 * speed
     if scale >= 0:
-        stretch = stretch + get(state, 1 + scale)
-        set_entry(h, 0, scale, speed)
+        stretch = stretch + state[1 + scale]
+        h[0, scale] = speed
     for i in range(3, h.shape[1]):
         if i != scale:
-            set_entry(h, 0, i, stretch * entry(h, 0, i))
+            h[0, i] = stretch * h[0, i]
     if column >= 0:
-        set_entry(h, 0, column, -(stretch * v_b[2]))
-        set_entry(h, 0, column + 1, stretch * v_b[1])
-    put(residual, 0, get(z, 0) - stretch * speed)
+        h[0, column] = -(stretch * v_b[2])
+        h[0, column + 1] = stretch * v_b[1]
+    residual[0] = z[0] - stretch * speed
 
 
 def measure_sideways(state, imu, parameters, z, residual, h):
@@ -93,16 +92,16 @@ def measure_sideways(state, imu, parameters, z, residual, h):
     down, _ = speed_along(state, imu, parameters, (about_y, 0.0 * about_y, 1.0), h, 1)
     column = column_of(parameters, MOUNTING)
     if column >= 0:
-        set_entry(h, 0, column + 1, -v_b[0])
-        set_entry(h, 1, column, v_b[0])
-    put(residual, 0, get(z, 0) - side)
-    put(residual, 1, get(z, 1) - down)
+        h[0, column + 1] = -v_b[0]
+        h[1, column] = v_b[0]
+    residual[0] = z[0] - side
+    residual[1] = z[1] - down
 
 
 def measure_standstill(state, imu, parameters, z, residual, h):
     for i in range(3):
-        put(residual, i, get(z, i) - get(state, 3 + i))
-        set_entry(h, i, 3 + i, 1.0)
+        residual[i] = z[i] - state[3 + i]
+        h[i, 3 + i] = 1.0
 
 
 def _parameters(arm: Sequence[float], columns: Columns) -> Array:

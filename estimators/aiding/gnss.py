@@ -10,7 +10,6 @@ import numpy as np
 from numba import njit
 
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
-from estimators.core.lanes import get, put, set_entry
 from estimators.core.lever_arm import lever_arm
 from estimators.core.model import attitude, triple
 from testbed.base.errors import InputError
@@ -53,12 +52,12 @@ def antenna_parameters(gnss: GnssFixes, columns: Columns) -> Array:
 @njit(cache=True, nogil=True)
 def skew_into(h, row, column, a):
     """Write -[a x] at (row, column) of ``h``."""
-    set_entry(h, row, column + 1, a[2])
-    set_entry(h, row, column + 2, -a[1])
-    set_entry(h, row + 1, column, -a[2])
-    set_entry(h, row + 1, column + 2, a[0])
-    set_entry(h, row + 2, column, a[1])
-    set_entry(h, row + 2, column + 1, -a[0])
+    h[row, column + 1] = a[2]
+    h[row, column + 2] = -a[1]
+    h[row + 1, column] = -a[2]
+    h[row + 1, column + 2] = a[0]
+    h[row + 2, column] = a[1]
+    h[row + 2, column + 1] = -a[0]
 
 
 @njit(cache=True, nogil=True)
@@ -68,10 +67,10 @@ def place_of_antenna(state, parameters, z, residual, h, row):
     arm = matrix_rotate(quat_to_matrix(attitude(state)), triple(parameters, 0))
     per_north, per_east = earth.metres_per_radian(lat, height)
     antenna = (lat + arm[0] / per_north, lon + arm[1] / per_east, height - arm[2])
-    place = earth.position_difference(get(z, row), get(z, row + 1), get(z, row + 2), antenna[0], antenna[1], antenna[2])
+    place = earth.position_difference(z[row], z[row + 1], z[row + 2], antenna[0], antenna[1], antenna[2])
     for i in range(3):
-        put(residual, row + i, place[i])
-        set_entry(h, row + i, i, 1.0)
+        residual[row + i] = place[i]
+        h[row + i, i] = 1.0
     skew_into(h, row, 6, arm)
 
 
@@ -79,11 +78,11 @@ def place_of_antenna(state, parameters, z, residual, h, row):
 def velocity_of_antenna(state, imu, parameters, z, residual, h, row):
     """Rows ``row`` to ``row`` + 2: velocity north, east, down (m/s)."""
     lever, m = triple(parameters, 0), quat_to_matrix(attitude(state))
-    arm, sweep, drag = lever_arm(m, lever, triple(imu, 0), get(state, 0))
+    arm, sweep, drag = lever_arm(m, lever, triple(imu, 0), state[0])
     moving = (sweep[0] - drag[0], sweep[1] - drag[1], sweep[2] - drag[2])
     for i in range(3):
-        put(residual, row + i, get(z, row + i) - (get(state, 3 + i) + moving[i]))
-        set_entry(h, row + i, 3 + i, 1.0)
+        residual[row + i] = z[row + i] - (state[3 + i] + moving[i])
+        h[row + i, 3 + i] = 1.0
     skew_into(h, row, 6, moving)
     first = int(parameters[GYRO_BIAS])
     if first >= 0:
@@ -91,7 +90,7 @@ def velocity_of_antenna(state, imu, parameters, z, residual, h, row):
             # A gyro bias error turns the sweep of the arm: C [l x], column by column.
             column = cross(arm, (m[0][j], m[1][j], m[2][j]))
             for i in range(3):
-                set_entry(h, row + i, first + j, column[i])
+                h[row + i, first + j] = column[i]
 
 
 def measure_fix(state, imu, parameters, z, residual, h):

@@ -9,7 +9,6 @@ import numpy as np
 
 from estimators.aiding import ABSENT, Aiding, Columns, Measurements, add_aiding
 from estimators.aiding.standstill import SIGMAS, mean_std
-from estimators.core.lanes import get, put, set_entry
 from estimators.core.model import attitude
 from estimators.policies import positive
 from testbed.data.records import SensorLog
@@ -41,16 +40,16 @@ def levels(log: SensorLog, columns: Columns, window_s: float = 0.2, rate_hz: flo
 
 def measure_level(state, imu, parameters, z, residual, h):
     m, column = quat_to_matrix(attitude(state)), int(parameters[0])
-    up = -earth.gravity(get(state, 0), get(state, 2))
+    up = -earth.gravity(state[0], state[2])
     for i in range(3):
         predicted = m[2][i] * up
         if column >= 0:
-            predicted = predicted + get(state, 1 + column + i)
-            set_entry(h, i, column + i, 1.0)
+            predicted = predicted + state[1 + column + i]
+            h[i, column + i] = 1.0
         by_attitude = cross((m[0][i], m[1][i], m[2][i]), (0.0 * up, 0.0 * up, up))
         for j in range(3):
-            set_entry(h, i, 6 + j, by_attitude[j])
-        put(residual, i, get(z, i) - predicted)
+            h[i, 6 + j] = by_attitude[j]
+        residual[i] = z[i] - predicted
 
 
 add_aiding(

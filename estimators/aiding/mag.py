@@ -10,7 +10,6 @@ import numpy as np
 
 from estimators.aiding import ABSENT, Aiding, Columns, Measurements, add_aiding
 from estimators.blocks.sensors import samples_of
-from estimators.core.lanes import get, put, set_entry
 from estimators.core.model import attitude, triple
 from testbed.base.errors import InputError
 from testbed.data.records import MagSamples, SensorLog
@@ -45,7 +44,7 @@ def fields(log: SensorLog, columns: Columns) -> Measurements:
 def measure_field(state, imu, parameters, z, residual, h):
     m, field = quat_to_matrix(attitude(state)), triple(parameters, 0)
     iron, distortion = int(parameters[HARD_IRON]), int(parameters[DISTORTION])
-    zero = 0.0 * get(state, 0)
+    zero = 0.0 * state[0]
     in_b = (
         m[0][0] * field[0] + m[1][0] * field[1] + m[2][0] * field[2],
         m[0][1] * field[0] + m[1][1] * field[1] + m[2][1] * field[2],
@@ -57,20 +56,20 @@ def measure_field(state, imu, parameters, z, residual, h):
         if distortion >= 0:
             first = distortion + 3 * i
             axis = (
-                axis[0] + get(state, 1 + first),
-                axis[1] + get(state, 2 + first),
-                axis[2] + get(state, 3 + first),
+                axis[0] + state[1 + first],
+                axis[1] + state[2 + first],
+                axis[2] + state[3 + first],
             )
             for j in range(3):
-                set_entry(h, i, first + j, in_b[j])
+                h[i, first + j] = in_b[j]
         if iron >= 0:
-            predicted = predicted + get(state, 1 + iron + i)
-            set_entry(h, i, iron + i, 1.0)
+            predicted = predicted + state[1 + iron + i]
+            h[i, iron + i] = 1.0
         by_attitude = cross(matrix_rotate(m, axis), field)
         for j in range(3):
-            set_entry(h, i, 6 + j, by_attitude[j])
+            h[i, 6 + j] = by_attitude[j]
         predicted = predicted + axis[0] * in_b[0] + axis[1] * in_b[1] + axis[2] * in_b[2]
-        put(residual, i, get(z, i) - predicted)
+        residual[i] = z[i] - predicted
 
 
 def headings(log: SensorLog, columns: Columns) -> Measurements:
@@ -85,25 +84,25 @@ def headings(log: SensorLog, columns: Columns) -> Measurements:
 
 def measure_heading(state, imu, parameters, z, residual, h):
     m, iron = quat_to_matrix(attitude(state)), int(parameters[1])
-    zero = 0.0 * get(state, 0)
-    field = (zero + get(z, 0), zero + get(z, 1), zero + get(z, 2))
+    zero = 0.0 * state[0]
+    field = (zero + z[0], zero + z[1], zero + z[2])
     if iron >= 0:
         field = (
-            field[0] - get(state, 1 + iron),
-            field[1] - get(state, 2 + iron),
-            field[2] - get(state, 3 + iron),
+            field[0] - state[1 + iron],
+            field[1] - state[2 + iron],
+            field[2] - state[3 + iron],
         )
     north, east, down = matrix_rotate(m, field)
     level = north * north + east * east
     sine, cosine = np.sin(parameters[DECLINATION]), np.cos(parameters[DECLINATION])
     # From magnetic north of the map to where the sample has it, less than half a turn.
-    put(residual, 0, -np.arctan2(east * cosine - north * sine, north * cosine + east * sine))
-    set_entry(h, 0, 6, -(north * down / level))
-    set_entry(h, 0, 7, -(east * down / level))
-    set_entry(h, 0, 8, 1.0 + zero)
+    residual[0] = -np.arctan2(east * cosine - north * sine, north * cosine + east * sine)
+    h[0, 6] = -(north * down / level)
+    h[0, 7] = -(east * down / level)
+    h[0, 8] = 1.0 + zero
     if iron >= 0:
         for j in range(3):
-            set_entry(h, 0, iron + j, (east * m[0][j] - north * m[1][j]) / level)
+            h[0, iron + j] = (east * m[0][j] - north * m[1][j]) / level
 
 
 FIELD = ("x, µT", "y, µT", "z, µT")

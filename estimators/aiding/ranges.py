@@ -11,7 +11,6 @@ from numba import njit
 
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
 from estimators.blocks.satellites import observations
-from estimators.core.lanes import get, put, set_entry
 from estimators.core.lever_arm import lever_arm
 from estimators.core.model import attitude, triple
 from testbed.base.errors import InputError
@@ -112,45 +111,45 @@ def _sight(state, parameters, z):
 @njit(cache=True, nogil=True)
 def _put_row(h, first, a, sign):
     for i in range(3):
-        set_entry(h, 0, first + i, sign * a[i])
+        h[0, first + i] = sign * a[i]
 
 
 def measure_pseudorange(state, imu, parameters, z, residual, h):
     distance, u, _, arm, _ = _sight(state, parameters, z)
     clock, isb = int(parameters[CLOCK]), int(parameters[ISB])
-    predicted = distance + get(state, 1 + clock)
+    predicted = distance + state[1 + clock]
     _put_row(h, 0, u, -1.0)
     _put_row(h, 6, cross(u, arm), 1.0)
-    set_entry(h, 0, clock, 1.0)
+    h[0, clock] = 1.0
     if isb >= 0:
-        predicted = predicted + get(state, 1 + isb) * z[OTHER_SYSTEM]
-        set_entry(h, 0, isb, z[OTHER_SYSTEM])
+        predicted = predicted + state[1 + isb] * z[OTHER_SYSTEM]
+        h[0, isb] = z[OTHER_SYSTEM]
     delays, ranges = int(parameters[DELAYS]), int(parameters[RANGES])
     if delays >= 0:
         for k in range(4):
-            predicted = predicted + get(state, 1 + delays + k) * z[IONO + k]
-            set_entry(h, 0, delays + k, z[IONO + k])
+            predicted = predicted + state[1 + delays + k] * z[IONO + k]
+            h[0, delays + k] = z[IONO + k]
     if ranges >= 0:
         own = ranges + int(z[SATELLITE])
-        predicted = predicted + get(state, 1 + own)
-        set_entry(h, 0, own, 1.0)
-    put(residual, 0, get(z, 0) - predicted)
+        predicted = predicted + state[1 + own]
+        h[0, own] = 1.0
+    residual[0] = z[0] - predicted
 
 
 def measure_doppler(state, imu, parameters, z, residual, h):
     distance, u, axes, arm, m = _sight(state, parameters, z)
     lever, drift = triple(parameters, 0), int(parameters[CLOCK]) + 1
-    _, sweep, drag = lever_arm(m, lever, triple(imu, 0), get(state, 0))
+    _, sweep, drag = lever_arm(m, lever, triple(imu, 0), state[0])
     moving = (sweep[0] - drag[0], sweep[1] - drag[1], sweep[2] - drag[2])
     v = triple(state, 3)
     own = (v[0] + moving[0], v[1] + moving[1], v[2] + moving[2])
     there = matrix_rotate(axes, triple(z, 4))
     u_e = matrix_rotate_inverse(axes, u)
     a = u[0] * there[0] + u[1] * there[1] + u[2] * there[2]
-    b = OMEGA * (u_e[0] * get(z, 2) - u_e[1] * get(z, 1))
+    b = OMEGA * (u_e[0] * z[2] - u_e[1] * z[1])
     along = u[0] * own[0] + u[1] * own[1] + u[2] * own[2]
     share = 1.0 / (1.0 + (a - b) / C)
-    put(residual, 0, get(z, 0) - ((a - along) * share + get(state, 1 + drift)))
+    residual[0] = z[0] - ((a - along) * share + state[1 + drift])
     # a change of place turns the line of sight, and n under the velocity
     across = (
         there[0] - own[0] - u[0] * (a - along),
@@ -161,18 +160,18 @@ def measure_doppler(state, imu, parameters, z, residual, h):
     per_north, per_east = earth.metres_per_radian(lat, height)
     turned = cross(v, u)
     cosine, sine = np.cos(lat), np.sin(lat)
-    set_entry(h, 0, 0, share * (turned[1] / per_north - across[0] / distance))
-    set_entry(h, 0, 1, share * ((turned[2] * sine - turned[0] * cosine) / per_east - across[1] / distance))
-    set_entry(h, 0, 2, -1.0 * share * across[2] / distance)
+    h[0, 0] = share * (turned[1] / per_north - across[0] / distance)
+    h[0, 1] = share * ((turned[2] * sine - turned[0] * cosine) / per_east - across[1] / distance)
+    h[0, 2] = -1.0 * share * across[2] / distance
     _put_row(h, 3, u, -1.0 * share)
     _put_row(h, 6, cross(u, moving), share)
-    set_entry(h, 0, drift, 1.0)
+    h[0, drift] = 1.0
     first = int(parameters[GYRO_BIAS])
     if first >= 0:
         for j in range(3):
             column = cross(arm, (m[0][j], m[1][j], m[2][j]))
             drop = u[0] * column[0] + u[1] * column[1] + u[2] * column[2]
-            set_entry(h, 0, first + j, -1.0 * share * drop)
+            h[0, first + j] = -1.0 * share * drop
 
 
 add_aiding(

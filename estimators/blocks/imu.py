@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.blocks import Block, Process, add_block, constant, per_axis
-from estimators.core.lanes import get, set_entry
 from testbed.data.records import SensorLog
 from testbed.data.specs import TriadSpec
 
@@ -121,40 +120,40 @@ def g_sensitivity_process(log: SensorLog) -> Process:
 
 def bias_of_accel(aux, imu, accel, gyro):
     for i in range(3):
-        set_entry(accel, i, i, 1.0)
+        accel[i, i] = 1.0
 
 
 def bias_of_gyro(aux, imu, accel, gyro):
     for i in range(3):
-        set_entry(gyro, i, i, 1.0)
+        gyro[i, i] = 1.0
 
 
 def scale_of_accel(aux, imu, accel, gyro):
     for i in range(3):
-        set_entry(accel, i, i, get(imu, 3 + i))
+        accel[i, i] = imu[3 + i]
 
 
 def scale_of_gyro(aux, imu, accel, gyro):
     for i in range(3):
-        set_entry(gyro, i, i, get(imu, i))
+        gyro[i, i] = imu[i]
 
 
 def misalignment_of_accel(aux, imu, accel, gyro):
     for i in range(3):
-        set_entry(accel, 2 * i, i, get(imu, 3 + (1 if i == 0 else 0)))
-        set_entry(accel, 2 * i + 1, i, get(imu, 3 + (1 if i == 2 else 2)))
+        accel[2 * i, i] = imu[3 + (1 if i == 0 else 0)]
+        accel[2 * i + 1, i] = imu[3 + (1 if i == 2 else 2)]
 
 
 def misalignment_of_gyro(aux, imu, accel, gyro):
     for i in range(3):
-        set_entry(gyro, 2 * i, i, get(imu, 1 if i == 0 else 0))
-        set_entry(gyro, 2 * i + 1, i, get(imu, 1 if i == 2 else 2))
+        gyro[2 * i, i] = imu[1 if i == 0 else 0]
+        gyro[2 * i + 1, i] = imu[1 if i == 2 else 2]
 
 
 def g_of_gyro(aux, imu, accel, gyro):
     for i in range(3):
         for j in range(3):
-            set_entry(gyro, 3 * i + j, i, get(imu, 3 + j))
+            gyro[3 * i + j, i] = imu[3 + j]
 
 
 for _triad, _bias, _unit, _scale, _misalignment in (

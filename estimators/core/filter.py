@@ -11,7 +11,6 @@ from numba import njit
 from numba.extending import overload
 
 from estimators.core.calls import NOTHING, call_couple, call_couple_lanes, call_measure, call_measure_lanes, call_policy
-from estimators.core.lanes import entry, get, put, set_entry
 from estimators.core.model import AUX, INVARIANT, REJECTED, Model, attitude, is_single, put_triple, scaled, triple
 from estimators.core.nav_errors import coefficients
 from estimators.core.propagate import (
@@ -23,7 +22,7 @@ from estimators.core.propagate import (
     turn_position_errors,
     turn_velocity_errors,
 )
-from estimators.core.recording import note_sample, note_update
+from estimators.core.recording import Recording, note_sample, note_update
 from estimators.core.strapdown import advance, compensate, coning_sculling
 from estimators.core.timeline import INLINED, inner, steps
 from estimators.core.update import innovation_covariance, update_considering
@@ -96,7 +95,7 @@ def move(model, k, dt, part):
     put_triple(state, 0, (lat, lon, h))
     put_triple(state, 3, v_end)
     for i in range(4):
-        put(state, 6 + i, q_end[i])
+        state[6 + i] = q_end[i]
     if dt != last_dt[0]:
         last_dt[0] = dt
         for i in range(decay.shape[0]):
@@ -104,9 +103,9 @@ def move(model, k, dt, part):
     chain = model.inputs.chain
     for c in range(chain.shape[0]):
         i, j = AUX + chain[c, 0], AUX + chain[c, 1]
-        put(state, i, get(state, i) + get(state, j) * dt)
+        state[i] = state[i] + state[j] * dt
     for i in range(decay.shape[0]):
-        put(state, AUX + i, centre[i] + keep[i] * (get(state, AUX + i) - centre[i]))
+        state[AUX + i] = centre[i] + keep[i] * (state[AUX + i] - centre[i])
     middle = mean_matrix(quat_to_matrix(q), quat_to_matrix(q_end))
     spans = model.coupling.spans
     _turn(middle, model.blocks.accel, model.coupling.accel, spans[0], spans[1])
@@ -124,9 +123,9 @@ def observe(model, k, e):
     variances = events.r[e]
     _clean(model, k)
     for a in range(count):
-        put(r, a, get(variances, a))
+        r[a] = variances[a]
         for i in range(h.shape[1]):
-            set_entry(h, a, i, 0.0)
+            h[a, i] = 0.0
     _measure(model, kind, e, residual, h)
     return count
 
@@ -140,7 +139,7 @@ def correct(model, k, e):
     fading = _judge(model, kind, residual, h, r)
     if fading != REJECTED:
         for i in range(h.shape[1]):
-            put(x, i, 0.0)
+            x[i] = 0.0
         work = model.work
         update_considering(x, p, residual, h, r, work.scalars, work.scratch, model.inputs.estimated)
         retract(model)
@@ -179,11 +178,11 @@ def retract(model):
     q = quat_normalize(quat_multiply(rotvec_to_quat(turn), attitude(state)))
     put_triple(state, 0, (lat + place[0] / per_north, lon + place[1] / per_east, h - place[2]))
     for i in range(3):
-        put(state, 3 + i, get(state, 3 + i) + v[i])
+        state[3 + i] = state[3 + i] + v[i]
     for i in range(4):
-        put(state, 6 + i, q[i])
+        state[6 + i] = q[i]
     for i in range(n - NAV):
-        put(state, AUX + i, get(state, AUX + i) + get(x, NAV + i))
+        state[AUX + i] = state[AUX + i] + x[NAV + i]
     if model.error == INVARIANT:
         turn_position_errors(model.p, n, place)
     turn_velocity_errors(model.p, n, v)
@@ -229,13 +228,13 @@ def _clean(model, k):
     spans, clean, state, imu = model.coupling.spans, model.work.clean, model.state, model.inputs.imu[k]
     accel, gyro = model.blocks.accel, model.blocks.gyro
     for i in range(3):
-        rate, force = get(imu, i) + 0.0 * get(state, 0), get(imu, 3 + i) + 0.0 * get(state, 0)
+        rate, force = imu[i], imu[3 + i]
         for j in range(spans[2], spans[3]):
-            rate = rate - entry(gyro, j, i) * get(state, AUX + j)
+            rate = rate - gyro[j, i] * state[AUX + j]
         for j in range(spans[0], spans[1]):
-            force = force - entry(accel, j, i) * get(state, AUX + j)
-        put(clean, i, rate)
-        put(clean, 3 + i, force)
+            force = force - accel[j, i] * state[AUX + j]
+        clean[i] = rate
+        clean[3 + i] = force
 
 
 @inner
@@ -246,17 +245,17 @@ def _estimate_sample(model, k):
     """
     sample, clean, imu = model.work.sample, model.work.clean, model.inputs.imu
     for i in range(6):
-        taken = (get(imu[k - 1], i) - get(clean, i)) if k > 0 else 0.0 * get(clean, i)
-        put(sample, i, get(imu[k], i) - taken)
+        taken = (imu[k - 1][i] - clean[i]) if k > 0 else 0.0 * clean[i]
+        sample[i] = imu[k][i] - taken
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _turn(m, in_b, in_n, first, last):
     """Couplings of states ``first`` to ``last`` from b to n."""
     for j in range(first, last):
-        a = matrix_rotate(m, (entry(in_b, j, 0), entry(in_b, j, 1), entry(in_b, j, 2)))
+        a = matrix_rotate(m, (in_b[j, 0], in_b[j, 1], in_b[j, 2]))
         for i in range(3):
-            set_entry(in_n, j, i, a[i])
+            in_n[j, i] = a[i]
 
 
 def _couple_blocks(model, k):
@@ -301,9 +300,9 @@ def _take_measure(model, kind, e, residual, h):
 
 @overload(_judge, jit_options=INLINED)
 def _call_judge(model, kind, residual, h, r):
-    if not is_single(model):
-        return _judge_lanes
-    return _judge_single
+    if is_single(model):
+        return _judge_single
+    return _judge_lanes if model[model.fields.index("keep")].instance_class is Recording else _judge_unseen
 
 
 def _judge_single(model, kind, residual, h, r):
@@ -329,6 +328,13 @@ def _judge_single(model, kind, residual, h, r):
 
 def _judge_lanes(model, kind, residual, h, r):
     """Side by side all updates are plain ones."""
+    count = residual.shape[0]
+    innovation_covariance(model.p, h, r, model.work.s[: count * count].reshape((count, count)), model.work.scratch)
+    return 1.0
+
+
+def _judge_unseen(model, kind, residual, h, r):
+    """Nobody keeps the covariance of the innovation."""
     return 1.0
 
 

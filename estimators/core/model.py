@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
-from estimators.core.lanes import get, put
 from estimators.core.propagate import Coupling, Scratch
 
 Array = NDArray[np.float64]
@@ -128,15 +127,15 @@ class Model(NamedTuple):
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def triple(array, first):
     """Three numbers of a row."""
-    return get(array, first), get(array, first + 1), get(array, first + 2)
+    return array[first], array[first + 1], array[first + 2]
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def put_triple(array, first, a):
     """Set three numbers of a row."""
-    put(array, first, a[0])
-    put(array, first + 1, a[1])
-    put(array, first + 2, a[2])
+    array[first] = a[0]
+    array[first + 1] = a[1]
+    array[first + 2] = a[2]
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
@@ -148,9 +147,9 @@ def scaled(a, factor):
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def attitude(state):
     """q_nb of a nominal state."""
-    return get(state, 6), get(state, 7), get(state, 8), get(state, 9)
+    return state[6], state[7], state[8], state[9]
 
 
 def is_single(model: Any) -> bool:
     """Whether a model's numbers are floats."""
-    return bool(model[model.fields.index("state")].ndim == 1)
+    return isinstance(model[model.fields.index("state")], types.Array)

@@ -8,15 +8,17 @@ filters that run side by side take a lane each.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from estimators.core.lanes import WIDTH, aligned, entry, get, load, set_entry, splat, store
+from estimators.core.lanes import WIDTH, aligned, load, splat, store
 from estimators.core.nav_errors import nav_errors
+from estimators.core.tables import Table, side_by_side
 
 NAV = 9
 """Errors of position, velocity and attitude, which every covariance begins with."""
@@ -66,12 +68,10 @@ def make_covariance(p0: Array) -> tuple[Array, Scratch]:
     return p, Scratch(table, aligned(NAV * blocks), aligned(2 * n), keep)
 
 
-def make_covariances(p0: Array) -> tuple[Array, Scratch]:
-    """Covariances (n,n,WIDTH) of filters side by side, all of which start as ``p0`` (n,n), and their scratch."""
-    n = len(p0)
-    table = aligned(n * n)
-    table[:] = p0.reshape(-1, 1)
-    return table.reshape(n, n, WIDTH), Scratch(table, aligned(NAV * n), aligned(1), aligned(1))
+def make_covariances(p0: Sequence[Array]) -> tuple[Table, Scratch]:
+    """Covariances of filters side by side that start as each of ``p0`` (n,n), and their scratch."""
+    p, n = side_by_side(p0), len(p0[0])
+    return p, Scratch(p.array.reshape(n * n, WIDTH), aligned(NAV * n), aligned(1), aligned(1))
 
 
 def propagate(p, scratch, coupling, motion, dt):
@@ -81,7 +81,7 @@ def propagate(p, scratch, coupling, motion, dt):
 
 @overload(propagate)
 def _propagate(p, scratch, coupling, motion, dt):
-    if p.ndim == 2:
+    if isinstance(p, types.Array):
         return lambda p, scratch, coupling, motion, dt: _columns_as_lanes(p, scratch, coupling, motion, dt)
     return lambda p, scratch, coupling, motion, dt: _filters_as_lanes(p, scratch, coupling, motion, dt)
 
@@ -106,9 +106,9 @@ def _added(source, first, step, weights, start, stop):
     a, b, c = splat(0.0), splat(0.0), splat(0.0)
     for k in range(start, stop):
         x = load(source, first + (NAV + k) * step)
-        a = a + entry(weights, k, 0) * x
-        b = b + entry(weights, k, 1) * x
-        c = c + entry(weights, k, 2) * x
+        a = a + weights[k, 0] * x
+        b = b + weights[k, 1] * x
+        c = c + weights[k, 2] * x
     return a, b, c
 
 
@@ -198,9 +198,9 @@ def integrate_pairs(p, n, chain, dt):
     for c in range(chain.shape[0]):
         i, j = NAV + chain[c, 0], NAV + chain[c, 1]
         for a in range(n):
-            set_entry(p, i, a, entry(p, i, a) + entry(p, j, a) * dt)
+            p[i, a] = p[i, a] + p[j, a] * dt
         for a in range(n):
-            set_entry(p, a, i, entry(p, a, i) + entry(p, a, j) * dt)
+            p[a, i] = p[a, i] + p[a, j] * dt
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -221,22 +221,22 @@ def add_noise(p, m, white, drive, dt):
             _add(p, 3 + i, 3 + j, accel)
             _add(p, 6 + i, 6 + j, _density(m, white, 3, i, j) * dt)
     for i in range(drive.shape[0]):
-        _add(p, NAV + i, NAV + i, get(drive, i) * dt)
+        _add(p, NAV + i, NAV + i, drive[i] * dt)
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _density(m, white, first, i, j):
     """Entry (i,j) of C diag(white) C'."""
-    total = m[i][0] * m[j][0] * get(white, first) + m[i][1] * m[j][1] * get(white, first + 1)
-    return total + m[i][2] * m[j][2] * get(white, first + 2)
+    total = m[i][0] * m[j][0] * white[first] + m[i][1] * m[j][1] * white[first + 1]
+    return total + m[i][2] * m[j][2] * white[first + 2]
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _add(p, i, j, value):
     """Add to entry (i,j), and to (j,i)."""
-    set_entry(p, i, j, entry(p, i, j) + value)
+    p[i, j] = p[i, j] + value
     if i != j:
-        set_entry(p, j, i, entry(p, i, j))
+        p[j, i] = p[i, j]
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -261,15 +261,15 @@ def turn_attitude_errors(p, n, change):
 def _gain(p, n, first, change):
     """Rows, then columns ``first`` to ``first`` + 2 of P gain phi x ``change``."""
     for j in range(n):
-        north, east, down = entry(p, 6, j), entry(p, 7, j), entry(p, 8, j)
-        set_entry(p, first, j, entry(p, first, j) + (east * change[2] - down * change[1]))
-        set_entry(p, first + 1, j, entry(p, first + 1, j) + (down * change[0] - north * change[2]))
-        set_entry(p, first + 2, j, entry(p, first + 2, j) + (north * change[1] - east * change[0]))
+        north, east, down = p[6, j], p[7, j], p[8, j]
+        p[first, j] = p[first, j] + (east * change[2] - down * change[1])
+        p[first + 1, j] = p[first + 1, j] + (down * change[0] - north * change[2])
+        p[first + 2, j] = p[first + 2, j] + (north * change[1] - east * change[0])
     for j in range(n):
-        north, east, down = entry(p, j, 6), entry(p, j, 7), entry(p, j, 8)
-        set_entry(p, j, first, entry(p, j, first) + (east * change[2] - down * change[1]))
-        set_entry(p, j, first + 1, entry(p, j, first + 1) + (down * change[0] - north * change[2]))
-        set_entry(p, j, first + 2, entry(p, j, first + 2) + (north * change[1] - east * change[0]))
+        north, east, down = p[j, 6], p[j, 7], p[j, 8]
+        p[j, first] = p[j, first] + (east * change[2] - down * change[1])
+        p[j, first + 1] = p[j, first + 1] + (down * change[0] - north * change[2])
+        p[j, first + 2] = p[j, first + 2] + (north * change[1] - east * change[0])
     for i in range(first, first + 3):
         for j in range(n):
-            set_entry(p, j, i, entry(p, i, j))
+            p[j, i] = p[i, j]

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from estimators.core.lanes import entry, get, is_zero, put, set_entry
+from estimators.core.lanes import is_zero
+from testbed.physics.rotations import select
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -19,12 +20,12 @@ def innovation_covariance(p, h, r, s, scratch):
     for a in range(m):
         _product(p, h, a, scratch, 0)
         for b in range(a + 1):
-            total = get(r, a) if a == b else 0.0 * get(r, a)
+            total = r[a] if a == b else 0.0 * r[a]
             for i in range(n):
-                if not is_zero(entry(h, b, i)):
-                    total = total + entry(h, b, i) * entry(scratch, 0, i)
-            set_entry(s, a, b, total)
-            set_entry(s, b, a, total)
+                if not is_zero(h[b, i]):
+                    total = total + h[b, i] * scratch[0, i]
+            s[a, b] = total
+            s[b, a] = total
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -47,25 +48,25 @@ def update_considering(x, p, residual, h, r, scalars, scratch, estimated):
     """
     m, n = h.shape[0], h.shape[1]
     for i in range(n):
-        set_entry(scratch, 3, i, 0.0)
+        scratch[3, i] = 0.0
     for a in range(m):
-        variance, left = get(r, a), get(residual, a)
+        variance, left = r[a], residual[a]
         _product(p, h, a, scratch, 0)
         for i in range(n):
-            if not is_zero(entry(h, a, i)):
-                variance = variance + entry(h, a, i) * entry(scratch, 0, i)
-                left = left - entry(h, a, i) * entry(scratch, 3, i)
-        set_entry(scalars, a, 0, left)
-        set_entry(scalars, a, 1, variance)
+            if not is_zero(h[a, i]):
+                variance = variance + h[a, i] * scratch[0, i]
+                left = left - h[a, i] * scratch[3, i]
+        scalars[a, 0] = left
+        scalars[a, 1] = variance
         for i in range(n):
-            gain = entry(scratch, 0, i) / variance
+            gain = scratch[0, i] / variance
             if estimated is not None:
                 gain = gain * estimated[i]
-            set_entry(scratch, 1, i, gain)
-            set_entry(scratch, 3, i, entry(scratch, 3, i) + gain * left)
-        _joseph(p, h, a, get(r, a), scratch)
+            scratch[1, i] = gain
+            scratch[3, i] = scratch[3, i] + gain * left
+        _joseph(p, h, a, r[a], scratch)
     for i in range(n):
-        put(x, i, get(x, i) + entry(scratch, 3, i))
+        x[i] = x[i] + scratch[3, i]
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
@@ -73,12 +74,12 @@ def _product(p, h, a, scratch, row):
     """Row ``row`` of scratch = P h_a'; P is symmetric, so its rows serve as columns."""
     n = h.shape[1]
     for i in range(n):
-        set_entry(scratch, row, i, 0.0)
+        scratch[row, i] = 0.0
     for j in range(n):
-        weight = entry(h, a, j)
+        weight = h[a, j]
         if not is_zero(weight):
             for i in range(n):
-                set_entry(scratch, row, i, entry(scratch, row, i) + weight * entry(p, j, i))
+                scratch[row, i] = scratch[row, i] + weight * p[j, i]
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
@@ -86,22 +87,22 @@ def _joseph(p, h, a, variance, scratch):
     """P = (I - K h) P (I - K h)' + K r K' for one scalar measurement; rows of scratch: P h', K, then free."""
     n = h.shape[1]
     for i in range(n):
-        gain = entry(scratch, 1, i)
+        gain = scratch[1, i]
         for j in range(n):
-            set_entry(p, i, j, entry(p, i, j) - gain * entry(scratch, 0, j))
+            p[i, j] = p[i, j] - gain * scratch[0, j]
     for i in range(n):
-        set_entry(scratch, 2, i, 0.0)
+        scratch[2, i] = 0.0
     for j in range(n):
-        weight = entry(h, a, j)
+        weight = h[a, j]
         if not is_zero(weight):
             for i in range(n):
-                set_entry(scratch, 2, i, entry(scratch, 2, i) + weight * entry(p, i, j))
+                scratch[2, i] = scratch[2, i] + weight * p[i, j]
     for i in range(n):
-        rest = variance * entry(scratch, 1, i) - entry(scratch, 2, i)
+        rest = variance * scratch[1, i] - scratch[2, i]
         for j in range(i + 1):
-            value = entry(p, i, j) + rest * entry(scratch, 1, j)
-            set_entry(p, i, j, value)
-            set_entry(p, j, i, value)
+            value = p[i, j] + rest * scratch[1, j]
+            p[i, j] = value
+            p[j, i] = value
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -114,13 +115,15 @@ def cholesky(s, factor):
         pivot = s[j, j]
         for k in range(j):
             pivot -= factor[j, k] * factor[j, k]
-        root = np.sqrt(pivot) if pivot > 1e-14 * s[j, j] or np.isnan(pivot) else 0.0
+        # a pivot that is not a number is none, so that a filter that has diverged says so
+        root = select((pivot > 1e-14 * s[j, j]) | (pivot != pivot), np.sqrt(abs(pivot)), 0.0)
         factor[j, j] = root
+        divisor = select(root != 0.0, root, np.inf)
         for i in range(j + 1, n):
             total = s[i, j]
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
-            factor[i, j] = total / root if root != 0.0 else 0.0
+            factor[i, j] = total / divisor
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -129,12 +132,12 @@ def whiten(covariance, residual, factor, white):
 
     Returns v' S^-1 v; not a number where S is not positive definite, as in a filter that has diverged.
     """
-    square = 0.0
+    square = 0.0 * residual[0]
     cholesky(covariance, factor)
     for i in range(residual.shape[0]):
         left = residual[i]
         for k in range(i):
             left -= factor[i, k] * white[k]
-        white[i] = left / factor[i, i] if factor[i, i] > 0.0 else np.nan
+        white[i] = left / select(factor[i, i] > 0.0, factor[i, i], np.nan)
         square += white[i] * white[i]
     return square
