@@ -286,7 +286,8 @@ def make_lanes(prepared: Sequence[Prepared], keep: Any, imu: Any = None) -> Mode
     inputs = Inputs(imu or imu_of(prepared), white, drive, first.decay, first.centre, *_structure(first))
     z = [_stacked(each.measurements, each.events, 1) for each in prepared]
     events = _events(first, r, calls.MEASURE_LANES)._replace(z=side_by_side(z))
-    return Model(inputs, blocks, events, first.composition.error_code(), state, p, scratch, coupling, work, keep)
+    error: int = first.composition.error_code()
+    return Model(inputs, blocks, events, error, state, p, scratch, coupling, work, keep)
 
 
 def imu_of(prepared: Sequence[Prepared]) -> Any:

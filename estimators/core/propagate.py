@@ -9,7 +9,7 @@ filters that run side by side take a lane each.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, types
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from estimators.core.lanes import WIDTH, aligned, load, splat, store
 from estimators.core.nav_errors import nav_errors
-from estimators.core.tables import Table, side_by_side
+from estimators.core.tables import side_by_side
 
 NAV = 9
 """Errors of position, velocity and attitude, which every covariance begins with."""
@@ -68,7 +68,7 @@ def make_covariance(p0: Array) -> tuple[Array, Scratch]:
     return p, Scratch(table, aligned(NAV * blocks), aligned(2 * n), keep)
 
 
-def make_covariances(p0: Sequence[Array]) -> tuple[Table, Scratch]:
+def make_covariances(p0: Sequence[Array]) -> tuple[Any, Scratch]:
     """Covariances of filters side by side that start as each of ``p0`` (n,n), and their scratch."""
     p, n = side_by_side(p0), len(p0[0])
     return p, Scratch(p.array.reshape(n * n, WIDTH), aligned(NAV * n), aligned(1), aligned(1))

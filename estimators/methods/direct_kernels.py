@@ -163,7 +163,7 @@ def arm_of(x, imu, setting):
     m = quat_to_matrix(euler_to_quat(x[6], x[7], x[8]))
     north, east = earth.metres_per_radian(lat, place[1] - x[2])
     rate = (imu[0] - x[12], imu[1] - x[13], imu[2] - x[14])
-    return m, lever_arm(m, setting.lever, rate, lat), (place[2] / north, place[3] / east, 1.0)
+    return m, lever_arm(m, setting.lever, rate, lat), (place[2] / north, place[3] / east, alike(lat, 1.0))
 
 
 @njit(cache=True, nogil=True, _nrt=False)
