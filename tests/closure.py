@@ -13,7 +13,7 @@ def strapdown_errors(truth):
     """North, east and down errors (3,N-1) in m of the strapdown over the true increments from the true initial state."""
     lla, v, q = (np.empty((len(truth.t) - 1, n)) for n in (3, 3, 4))
     start = truth.lat[0], truth.lon[0], truth.h[0], truth.v_n[0], truth.q_nb[0]
-    integrate(truth.t[0], truth.t[1:], truth.w_ib_b[1:], truth.f_b[1:], start, np.zeros(3), np.zeros(3), (lla, v, q))
+    integrate(truth.t[0], truth.t[1:], truth.w_ib_b[1:], truth.f_b[1:], *start, np.zeros(3), np.zeros(3), lla, v, q)
     return _errors(truth, *lla.T)
 
 

@@ -60,7 +60,7 @@ def phased_flight(script: tuple = SCRIPT, rate: float = 100.0, speed: float = 15
     gyro[0], accel[0] = gyro[1], accel[1]
     lla, v, q = np.empty((len(t), 3)), np.empty((len(t), 3)), np.empty((len(t), 4))
     zero = np.zeros(3)
-    integrate(0.0, t[1:], gyro[1:], accel[1:], (LAT, LON, H, v_n[0], q_nb[0]), zero, zero, (lla[1:], v[1:], q[1:]))
+    integrate(0.0, t[1:], gyro[1:], accel[1:], LAT, LON, H, v_n[0], q_nb[0], zero, zero, lla[1:], v[1:], q[1:])
     lla[0], v[0], q[0] = (LAT, LON, H), v_n[0], q_nb[0]
     phases = tuple(Phase(row[0], end - row[1], end) for end, row in zip(ends, script, strict=True))
     return Trajectory(t, *lla.T, v, q, accel, gyro, phases=phases)

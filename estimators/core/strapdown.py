@@ -100,13 +100,11 @@ def advance(lat, lon, h, v_n, q_nb, rotation, change_b, dt):
 
 
 @njit(cache=True)
-def integrate(t_start, t, gyro, accel, start, accel_bias, gyro_bias, out):
+def integrate(t_start, t, gyro, accel, lat, lon, h, v_n, q_nb, accel_bias, gyro_bias, lla, velocity, quaternion):
     """Free integration of IMU means (N,3) that end at ``t`` from a state at ``t_start``; biases are subtracted.
 
-    ``start`` is (lat, lon, h, v_n, q_nb); ``out`` (lla (N,3), velocity (N,3), quaternion (N,4)) gets row k for t[k].
+    Writes row k of ``lla`` (N,3), ``velocity`` (N,3) and ``quaternion`` (N,4) for t[k].
     """
-    lat, lon, h, v_n, q_nb = start
-    lla, velocity, quaternion = out
     v = (v_n[0], v_n[1], v_n[2])
     q = (q_nb[0], q_nb[1], q_nb[2], q_nb[3])
     angle_before = (0.0, 0.0, 0.0)

@@ -32,10 +32,16 @@ class Ins:
             imu.t,
             imu.gyro,
             imu.accel,
-            (start.lat, start.lon, start.h, np.asarray(start.v_n, float), np.asarray(start.q_nb, float)),
+            start.lat,
+            start.lon,
+            start.h,
+            np.asarray(start.v_n, float),
+            np.asarray(start.q_nb, float),
             np.asarray(start.accel_bias, float),
             np.asarray(start.gyro_bias, float),
-            (lla, v_n, q_nb),
+            lla,
+            v_n,
+            q_nb,
         )
         return NavSolution(
             imu.t,

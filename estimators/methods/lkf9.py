@@ -225,15 +225,10 @@ def _restarted(log: SensorLog, solution: NavSolution, name: str) -> NavSolution:
     for first, last in outage_rows(log, 1.5 / fixes_of(log, name).spec.rate_hz, name):
         rows = slice(first + 1, last)
         integrate(
-            imu.t[first],
-            imu.t[rows],
-            imu.gyro[rows],
-            imu.accel[rows],
-            (*lla[first], v_n[first], q_nb[first]),
-            np.asarray(start.accel_bias, float),
-            np.asarray(start.gyro_bias, float),
-            (lla[rows], v_n[rows], q_nb[rows]),
-        )
+            imu.t[first], imu.t[rows], imu.gyro[rows], imu.accel[rows],
+            lla[first, 0], lla[first, 1], lla[first, 2], v_n[first], q_nb[first],
+            np.asarray(start.accel_bias, float), np.asarray(start.gyro_bias, float), lla[rows], v_n[rows], q_nb[rows],
+        )  # fmt: skip
     return replace(solution, lat=lla[:, 0], lon=lla[:, 1], h=lla[:, 2], v_n=v_n, q_nb=q_nb)
 
 

@@ -58,10 +58,16 @@ class UpdateIns(IndirectKf):
                 t[rows],
                 imu.gyro[rows],
                 imu.accel[rows],
-                (*lla[first], v_n[first], q_nb[first]),
+                lla[first, 0],
+                lla[first, 1],
+                lla[first, 2],
+                v_n[first],
+                q_nb[first],
                 biases["accel_bias"][first + 1],
                 biases["gyro_bias"][first + 1],
-                (lla[rows], v_n[rows], q_nb[rows]),
+                lla[rows],
+                v_n[rows],
+                q_nb[rows],
             )
         return replace(
             solution,
