@@ -283,7 +283,8 @@ def make_lanes(prepared: Sequence[Prepared], keep: Any, imu: Any = None) -> Mode
     white, drive, r, state = (
         side_by_side([getattr(each, key) for each in prepared]) for key in ("white", "drive", "r", "start")
     )
-    inputs = Inputs(imu or imu_of(prepared), white, drive, first.decay, first.centre, *_structure(first))
+    centre = side_by_side([each.centre for each in prepared])
+    inputs = Inputs(imu or imu_of(prepared), white, drive, first.decay, centre, *_structure(first))
     z = [_stacked(each.measurements, each.events, 1) for each in prepared]
     events = _events(first, r, calls.MEASURE_LANES)._replace(z=side_by_side(z))
     error: int = first.composition.error_code()

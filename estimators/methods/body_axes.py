@@ -74,9 +74,17 @@ def turned_angles(roll, pitch, yaw, sign):
     return quat_to_euler(quat_multiply(euler_to_quat(roll, pitch, yaw), (HALF, 0.0, -sign * HALF, 0.0)))
 
 
-@njit(cache=True, nogil=True, _nrt=False)
 def turn_state(x, p, sign):
-    """State (15,) and covariance (15,15) from b to b' (``sign`` 1) or back (-1), in place."""
+    """State (15,) and covariance (15,15) from b to b' (``sign`` 1) or back (-1), in place. Kernels only, not on tables."""
+    raise NotImplementedError("kernels only")
+
+
+@overload(turn_state)
+def _turn_state_of(x, p, sign):
+    return _turn_state if isinstance(x, types.Array) else lambda x, p, sign: None
+
+
+def _turn_state(x, p, sign):
     old = euler_error_matrix(x[6], x[7], x[8])
     x[6], x[7], x[8] = turned_angles(x[6], x[7], x[8], sign)
     turn_triple(x, 9, sign)

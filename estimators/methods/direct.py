@@ -19,6 +19,7 @@ from estimators.blocks.imu import noise_model
 from estimators.core.composition import SNAPSHOT_INTERVAL_S
 from estimators.core.lanes import WIDTH
 from estimators.core.recording import Recording
+from estimators.core.side_by_side import recording_in_lanes
 from estimators.core.strong_tracking import FILTERS
 from estimators.core.tables import combined, of_lane
 from estimators.core.timeline import Timeline, make_timeline, require_one_timeline, walk
@@ -32,9 +33,10 @@ from testbed.physics.rotations import euler_error_matrix, eulers_to_quats, quat_
 
 Array = NDArray[np.float64]
 
-SHARED = frozenset(["centre", "decay", "lever", "noise", "transition", "since"])
+SHARED = frozenset(["decay", "lever", "noise", "transition", "since"])
 """Fields of the models that are the same in all runs of a scenario."""
-FRESH = frozenset(["keep", "work", "points", "mixing", "figures", "theta"])
+FRESH = frozenset(["work", "points", "mixing", "figures", "theta"])
+"""Fields that are written before they are read."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,9 @@ class DirectFilter:
 
     def _side_by_side(self, tasks: list[DirectProblem]) -> list[NavSolution]:
         require_one_timeline([task.timeline() for task in tasks], self.name)
-        line, model = tasks[0].timeline(), combined([self.model(task) for task in tasks], SHARED, FRESH)
+        line, keep = tasks[0].timeline(), recording_in_lanes(tasks[0].keep)
+        models = [self.model(task)._replace(keep=()) for task in tasks]
+        model = combined(models, SHARED, FRESH)._replace(keep=keep)
         walk(line, model, len(line.t))
         used, answers = int(line.place[1]), []
         for lane, task in enumerate(tasks):
