@@ -122,6 +122,8 @@ class MonteCarloConfig(Table):
     """A run whose position error passes this anywhere is counted as diverged."""
     timeout_s: Annotated[float, Field(gt=0, le=LONGEST_TIMEOUT_S)] | None = None
     """Longest time of one estimator on one run."""
+    side_by_side: bool = True
+    """Whether estimators that can filter eight runs at once do so; their times are then those of a run among others."""
 
     @model_validator(mode="after")
     def _says_how(self) -> MonteCarloConfig:
