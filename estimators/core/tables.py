@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 from numba import types
+from numba.core import cgutils
+from numba.core.imputils import impl_ret_borrowed
 from numba.extending import (
     NativeValue,
     intrinsic,
@@ -125,8 +127,6 @@ def _unbox(kind: Any, value: Any, context: Any) -> Any:
 
 
 def _wrapped(context: Any, builder: Any, kind: Any, data: Any) -> Any:
-    from numba.core import cgutils
-
     table = cgutils.create_struct_proxy(kind)(context, builder)
     table.data = data
     return table._getvalue()
@@ -138,7 +138,7 @@ def as_table(typing_context: Any, data: Any) -> Any:
     kind = TableType(data.ndim - 1)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _wrapped(context, builder, kind, args[0])
+        return impl_ret_borrowed(context, builder, kind, _wrapped(context, builder, kind, args[0]))
 
     return kind(data), generate
 
