@@ -4,8 +4,7 @@ An aiding is the sensor whose samples it takes, how they become measurements wit
 ``measure(state, imu, parameters, z, residual, h)``, a plain function that numba can compile: it writes ``residual`` (m,) = z
 minus what the state predicts, and into ``h`` (m,n), zero before, the derivative of that prediction by the error state, taken
 for "truth minus estimate". ``state``: lat, lon, h, v_n, q_nb, then the sensor-error states; ``imu`` (6,): angular rate and
-specific force without their estimated errors. Arrays are read and written through `get` and `put` of
-`estimators.core.lanes`. SI units and radians.
+specific force without their estimated errors. SI units and radians.
 """
 
 from __future__ import annotations
@@ -54,6 +53,9 @@ class Aiding:
     needs: tuple[str, ...] = ()
     """Blocks without which it makes no sense."""
     summary: str = ""
+    in_lanes: bool = False
+    """Whether runs may be filtered side by side (`estimators.core.tables`): ``measure`` does not branch on numbers, and the
+    times of its measurements follow from the times of the log, not from what was felt."""
 
 
 AIDINGS: dict[str, Aiding] = {}

@@ -40,4 +40,14 @@ def measure_height(state, imu, parameters, z, residual, h):
     residual[0] = z[0] - predicted
 
 
-add_aiding(Aiding("baro", "baro", ("height, m",), measure_height, heights, summary="height of the standard atmosphere"))
+add_aiding(
+    Aiding(
+        "baro",
+        "baro",
+        ("height, m",),
+        measure_height,
+        heights,
+        summary="height of the standard atmosphere",
+        in_lanes=True,
+    )
+)

@@ -152,7 +152,15 @@ def standing(log: SensorLog, columns: Columns, window_s: float = 0.5, pass_rate:
 
 
 add_aiding(
-    Aiding("odometer", "odometer", ("speed, m/s",), measure_odometer, speeds, summary="speed of a wheel along its way")
+    Aiding(
+        "odometer",
+        "odometer",
+        ("speed, m/s",),
+        measure_odometer,
+        speeds,
+        summary="speed of a wheel along its way",
+        in_lanes=True,
+    )
 )
 add_aiding(
     Aiding(
@@ -162,6 +170,7 @@ add_aiding(
         measure_sideways,
         no_slip,
         summary="wheels slip neither sideways nor upwards",
+        in_lanes=True,
     )
 )
 add_aiding(

@@ -140,6 +140,12 @@ def velocities(log: SensorLog, columns: Columns) -> Measurements:
 
 PLACE = ("north, m", "east, m", "down, m")
 VELOCITY = ("north, m/s", "east, m/s", "down, m/s")
-add_aiding(Aiding("gnss", "gnss", PLACE + VELOCITY, measure_fix, whole, summary="position and velocity of each fix"))
-add_aiding(Aiding("gnss-position", "gnss", PLACE, measure_place, places, summary="position alone"))
-add_aiding(Aiding("gnss-velocity", "gnss", VELOCITY, measure_velocity, velocities, summary="velocity alone"))
+add_aiding(
+    Aiding(
+        "gnss", "gnss", PLACE + VELOCITY, measure_fix, whole, summary="position and velocity of each fix", in_lanes=True
+    )
+)
+add_aiding(Aiding("gnss-position", "gnss", PLACE, measure_place, places, summary="position alone", in_lanes=True))
+add_aiding(
+    Aiding("gnss-velocity", "gnss", VELOCITY, measure_velocity, velocities, summary="velocity alone", in_lanes=True)
+)

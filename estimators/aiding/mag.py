@@ -106,7 +106,15 @@ def measure_heading(state, imu, parameters, z, residual, h):
 
 
 FIELD = ("x, µT", "y, µT", "z, µT")
-add_aiding(Aiding("mag", "mag", FIELD, measure_field, fields, summary="magnetic field as a vector"))
+add_aiding(Aiding("mag", "mag", FIELD, measure_field, fields, summary="magnetic field as a vector", in_lanes=True))
 add_aiding(
-    Aiding("heading", "mag", ("heading, rad",), measure_heading, headings, summary="direction of magnetic north")
+    Aiding(
+        "heading",
+        "mag",
+        ("heading, rad",),
+        measure_heading,
+        headings,
+        summary="direction of magnetic north",
+        in_lanes=True,
+    )
 )

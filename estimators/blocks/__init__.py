@@ -3,7 +3,7 @@
 A block is names, what is known of its states at the start, the noise that drives them, how fast they return to a mean, and
 ``couple(aux, imu, accel, gyro)``, a plain function that numba can compile: it writes into ``accel`` and ``gyro`` (k,3) what
 one unit of each of its k states adds to specific force (m/s²) and angular rate (rad/s) along b; ``aux`` (k,) are the states,
-``imu`` (6,) the sample, angular rate first. Arrays are read and written through `get` and `put` of `estimators.core.lanes`.
+``imu`` (6,) the sample, angular rate first.
 Sensor-error states are "measured minus true", SI units and radians.
 """
 
@@ -55,6 +55,8 @@ class Block:
     couple: Callable[..., None] | None = None
     follows_imu: bool = False
     """Whether ``couple`` depends on the sample and must be called with each of them."""
+    in_lanes: bool = False
+    """Whether such a ``couple`` takes `estimators.core.tables`, too: it does not branch on numbers."""
     summary: str = ""
     chain: tuple[tuple[int, int], ...] = ()
     """Pairs of states of which the first is the integral of the second; both keep their value otherwise."""

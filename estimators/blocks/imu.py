@@ -178,6 +178,7 @@ for _triad, _bias, _unit, _scale, _misalignment in (
             _triad,  # type: ignore[arg-type]
             _scale,
             follows_imu=True,
+            in_lanes=True,
             summary="scale factor error, one constant per axis",
         )
     )
@@ -189,6 +190,7 @@ for _triad, _bias, _unit, _scale, _misalignment in (
             _triad,  # type: ignore[arg-type]
             _misalignment,
             follows_imu=True,
+            in_lanes=True,
             summary="rotation of the triad and axes that are not square, six constants",
         )
     )
@@ -200,6 +202,7 @@ add_block(
         "gyro",
         g_of_gyro,
         follows_imu=True,
+        in_lanes=True,
         summary="gyro output per specific force, nine constants, (rad/s)/(m/s²)",
     )
 )

@@ -15,6 +15,8 @@ from numba import cfunc, njit, types
 from numba.core.errors import NumbaWarning
 from numba.extending import intrinsic
 
+from estimators.core.tables import TableType
+
 
 def array(dimensions: int) -> types.Array:
     """The type of a C-contiguous array of float64."""
@@ -27,8 +29,8 @@ MEASURE = types.void(array(1), array(1), array(1), array(1), array(1), array(2))
 """measure(state, imu, parameters, z, residual, h): see `estimators.aiding`."""
 POLICY = types.float64(array(1), array(1), array(2), array(1), array(2), array(2))
 """policy(memory, residual, s, r, h, p) -> fading: see `estimators.policies`."""
-COUPLE_LANES = types.void(array(2), array(2), array(3), array(3))
-MEASURE_LANES = types.void(array(2), array(2), array(1), array(1), array(2), array(3))
+COUPLE_LANES = types.void(TableType(1), TableType(1), TableType(2), TableType(2))
+MEASURE_LANES = types.void(TableType(1), TableType(1), array(1), TableType(1), TableType(1), TableType(2))
 
 NOTHING = 0
 """Address of a part that is left out."""

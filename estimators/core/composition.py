@@ -19,7 +19,6 @@ from estimators.blocks.imu import white_density
 from estimators.core import calls, structure
 from estimators.core.calls import address
 from estimators.core.event_order import in_order, mixes, stacked
-from estimators.core.lanes import WIDTH, aligned
 from estimators.core.model import (
     AUX,
     INVARIANT,
@@ -34,6 +33,7 @@ from estimators.core.model import (
 from estimators.core.parts import find_aiding, find_block, find_policy
 from estimators.core.propagate import NAV, Coupling, make_covariance, make_covariances
 from estimators.core.recording import Recording, empty_recording
+from estimators.core.tables import side_by_side, zeros
 from estimators.core.timeline import Timeline, make_timeline, walk
 from estimators.policies import Policy
 from testbed.base.errors import InputError, nearest
@@ -280,27 +280,32 @@ def make_model(prepared: Prepared, keep: Any) -> Model:
     return Model(inputs, blocks, events, error, prepared.start.copy(), p, scratch, coupling, work, keep)
 
 
-def make_lanes(prepared: Prepared, white: Array, drive: Array, r: Array, keep: Any) -> Model:
-    """`WIDTH` filters side by side that share the log: ``white`` (6,WIDTH), ``drive`` (k,WIDTH), ``r`` (E,m,WIDTH)."""
-    p, scratch = make_covariances(prepared.covariance)
-    k, m, n = len(prepared.drive), _rows(prepared), len(prepared.states)
+def make_lanes(prepared: Sequence[Prepared], keep: Any, imu: Any = None) -> Model:
+    """Up to `WIDTH` filters side by side on one time line; their samples are ``imu`` where it is made already."""
+    first = prepared[0]
+    p, scratch = make_covariances([each.covariance for each in prepared])
+    k, m, n = len(first.drive), _rows(first), len(first.states)
+    blocks = _blocks(first, zeros(k, 3), zeros(k, 3), calls.COUPLE_LANES)
+    work = _work(zeros, m, n)
+    coupling = Coupling(structure.spans(first.blocks), zeros(k, 3), zeros(k, 3), np.zeros(k))
+    white, drive, r, state, centre = (
+        side_by_side([getattr(each, key) for each in prepared]) for key in ("white", "drive", "r", "start", "centre")
+    )
+    chain, estimated = structure.chain(first.blocks), structure.estimated(first.blocks, first.composition.consider)
+    inputs = Inputs(imu or imu_of(prepared), white, drive, first.decay, centre, chain, n, estimated)
+    z = [stacked(each.measurements, each.events, 1) for each in prepared]
+    mix = zeros(0, m, m) if first.mix is None else side_by_side([each.mix for each in prepared])
+    events = _events(first, r, calls.MEASURE_LANES)._replace(z=side_by_side(z), mix=mix)
+    error: int = first.composition.error_code()
+    return Model(inputs, blocks, events, error, state, p, scratch, coupling, work, keep)
 
-    def table(*shape: int) -> Array:
-        return aligned(int(np.prod(shape))).reshape(*shape, WIDTH)
 
-    blocks = _blocks(prepared, table(k, 3), table(k, 3), calls.COUPLE_LANES)
-    work = _work(table, m, n)
-    coupling = Coupling(structure.spans(prepared.blocks), table(k, 3), table(k, 3), np.zeros(k))
-    chain = structure.chain(prepared.blocks)
-    estimated = structure.estimated(prepared.blocks, prepared.composition.consider)
-    inputs = Inputs(_imu(prepared.log), white, drive, prepared.decay, prepared.centre, chain, n, estimated)
-    state = table(AUX + k)
-    state[:] = prepared.start[:, None]
-    events = _events(prepared, r, calls.MEASURE_LANES)
-    return Model(inputs, blocks, events, prepared.composition.error_code(), state, p, scratch, coupling, work, keep)
+def imu_of(prepared: Sequence[Prepared]) -> Any:
+    """Samples of the IMU (N,6) of each of some logs."""
+    return side_by_side([_imu(each.log) for each in prepared])
 
 
-def _work(array: Callable[..., Array], m: int, n: int) -> Work:
+def _work(array: Callable[..., Any], m: int, n: int) -> Work:
     """Room for n states and m measurements; ``array`` makes zeros of a shape."""
     return Work(
         whole=array(6),
@@ -327,7 +332,7 @@ def _rows(prepared: Prepared) -> int:
     return max([1, *(len(a.channels) for a in prepared.aidings)])
 
 
-def _blocks(prepared: Prepared, accel: Array, gyro: Array, signature: Any) -> Blocks:
+def _blocks(prepared: Prepared, accel: Any, gyro: Any, signature: Any) -> Blocks:
     """Couplings at rest filled in once; blocks that follow the IMU are left for the loop."""
     couples, places, first = [], [], 0
     for block in prepared.blocks:
@@ -336,7 +341,7 @@ def _blocks(prepared: Prepared, accel: Array, gyro: Array, signature: Any) -> Bl
             couples.append(address(block.couple, signature))
             places.append((first, last))
         elif block.couple is not None:
-            _couple_once(block, accel[first:last], gyro[first:last])
+            _couple_once(block, *(getattr(c, "array", c)[first:last] for c in (accel, gyro)))
         first = last
     return Blocks(np.array(couples, dtype=np.int64), np.array(places, dtype=np.int64).reshape(-1, 2), accel, gyro)
 
@@ -350,7 +355,7 @@ def _couple_once(block: Block, accel: Array, gyro: Array) -> None:
         target[...] = made if target.ndim == 2 else made[..., None]
 
 
-def _events(prepared: Prepared, r: Array, signature: Any) -> Events:
+def _events(prepared: Prepared, r: Any, signature: Any) -> Events:
     aidings = prepared.aidings
     count = len(aidings)
     longest = max([1, *(len(m.parameters) for m in prepared.measurements)])

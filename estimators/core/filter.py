@@ -11,6 +11,7 @@ from numba import njit
 from numba.extending import overload
 
 from estimators.core.calls import NOTHING, call_couple, call_couple_lanes, call_measure, call_measure_lanes, call_policy
+from estimators.core.lanes import is_zero
 from estimators.core.model import AUX, INVARIANT, REJECTED, Model, attitude, is_single, put_triple, scaled, triple
 from estimators.core.nav_errors import coefficients
 from estimators.core.postponed import catch_up, postpone
@@ -23,7 +24,7 @@ from estimators.core.propagate import (
     turn_position_errors,
     turn_velocity_errors,
 )
-from estimators.core.recording import note_sample, note_update
+from estimators.core.recording import Recording, note_sample, note_update
 from estimators.core.strapdown import advance, compensate, coning_sculling
 from estimators.core.timeline import INLINED, inner, steps
 from estimators.core.update import innovation_covariance, update_considering
@@ -148,7 +149,7 @@ def _unmix(mix, residual, h):
     for a in range(residual.shape[0]):
         for b in range(a):
             share = mix[a, b]
-            if share != 0.0:
+            if not is_zero(share):
                 residual[a] = residual[a] - share * residual[b]
                 for i in range(h.shape[1]):
                     h[a, i] = h[a, i] - share * h[b, i]
@@ -253,7 +254,7 @@ def _clean(model, k):
     spans, clean, state, imu = model.coupling.spans, model.work.clean, model.state, model.inputs.imu[k]
     accel, gyro = model.blocks.accel, model.blocks.gyro
     for i in range(3):
-        rate, force = imu[i] + 0.0 * state[0], imu[3 + i] + 0.0 * state[0]
+        rate, force = imu[i], imu[3 + i]
         for j in range(spans[2], spans[3]):
             rate = rate - gyro[j, i] * state[AUX + j]
         for j in range(spans[0], spans[1]):
@@ -325,9 +326,9 @@ def _take_measure(model, kind, e, residual, h):
 
 @overload(_judge, jit_options=INLINED)
 def _call_judge(model, kind, residual, h, r):
-    if not is_single(model):
-        return _judge_lanes
-    return _judge_single
+    if is_single(model):
+        return _judge_single
+    return _judge_lanes if model[model.fields.index("keep")].instance_class is Recording else _judge_unseen
 
 
 def _judge_single(model, kind, residual, h, r):
@@ -353,6 +354,13 @@ def _judge_single(model, kind, residual, h, r):
 
 def _judge_lanes(model, kind, residual, h, r):
     """Side by side all updates are plain ones."""
+    count = residual.shape[0]
+    innovation_covariance(model.p, h, r, model.work.s[: count * count].reshape((count, count)), model.work.scratch)
+    return 1.0
+
+
+def _judge_unseen(model, kind, residual, h, r):
+    """Nobody keeps the covariance of the innovation."""
     return 1.0
 
 

@@ -3,8 +3,7 @@
 Kernels only: values of this type live inside compiled functions. Each operation is that of IEEE 754 on each lane by itself,
 so a result depends neither on the other lanes nor on the place among them, and a NaN stays in its lane.
 
-A kernel that reads and writes its arrays through `get`, `put`, `entry` and `set_entry` is written once for both kinds of
-number: an array (n,) or (n,m) holds floats, a table (n,WIDTH) or (n,m,WIDTH) holds lanes.
+`estimators.core.tables` holds arrays of them.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 from numpy.typing import NDArray
 
-from testbed.physics.rotations import half_turn
+from testbed.physics.rotations import half_turn, select
 
 WIDTH = 8
 """Numbers side by side: a cache line of doubles, one AVX-512 register or two of AVX2."""
@@ -81,13 +80,14 @@ def _register(function: Any, instruction: str) -> None:
         lower_builtin(function, *kinds)(lower)
 
 
-for _operator, _instruction in (
-    (operator.add, "fadd"),
-    (operator.sub, "fsub"),
-    (operator.mul, "fmul"),
-    (operator.truediv, "fdiv"),
+for _operators, _instruction in (
+    ((operator.add, operator.iadd), "fadd"),
+    ((operator.sub, operator.isub), "fsub"),
+    ((operator.mul, operator.imul), "fmul"),
+    ((operator.truediv, operator.itruediv), "fdiv"),
 ):
-    _register(_operator, _instruction)
+    for _operator in _operators:
+        _register(_operator, _instruction)
 
 
 @infer_global(operator.neg)
@@ -99,6 +99,121 @@ class _Negative(AbstractTemplate):
 @lower_builtin(operator.neg, LanesType)
 def _lower_negative(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return builder.fneg(args[0])
+
+
+class MaskType(types.Type):
+    """`WIDTH` yes or no."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"mask{WIDTH}")
+
+
+mask = MaskType()
+_BITS = ir.VectorType(ir.IntType(1), WIDTH)
+
+
+@register_model(MaskType)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _BITS)
+
+
+def _register_comparison(function: Any, sign: str) -> None:
+    """Let a comparison take two lanes, or lanes and a float64; a NaN is unequal to all and neither more nor less."""
+
+    @infer_global(function)
+    class Template(AbstractTemplate):
+        def generic(self, args: Any, kws: Any) -> Any:
+            known = all(isinstance(a, LanesType) or a == types.float64 for a in args)
+            if len(args) == 2 and known and any(isinstance(a, LanesType) for a in args):
+                return signature(mask, *args)
+            return None
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        left, right = (_as_lanes(builder, value, kind) for value, kind in zip(args, sig.args, strict=True))
+        compare = builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered
+        return compare(sign, left, right)
+
+    for kinds in ((LanesType, LanesType), (LanesType, types.Float), (types.Float, LanesType)):
+        lower_builtin(function, *kinds)(lower)
+
+
+for _operator, _sign in (
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+    (operator.eq, "=="),
+    (operator.ne, "!="),
+):
+    _register_comparison(_operator, _sign)
+
+
+def _register_logic(function: Any, instruction: str) -> None:
+    @infer_global(function)
+    class Template(AbstractTemplate):
+        def generic(self, args: Any, kws: Any) -> Any:
+            known = all(isinstance(a, MaskType) or a == types.boolean for a in args)
+            if len(args) == 2 and known and any(isinstance(a, MaskType) for a in args):
+                return signature(mask, *args)
+            return None
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        left, right = (_as_mask(builder, value, kind) for value, kind in zip(args, sig.args, strict=True))
+        return getattr(builder, instruction)(left, right)
+
+    for kinds in ((MaskType, MaskType), (MaskType, types.Boolean), (types.Boolean, MaskType)):
+        lower_builtin(function, *kinds)(lower)
+
+
+def _as_mask(builder: Any, value: Any, kind: Any) -> Any:
+    if isinstance(kind, MaskType):
+        return value
+    on, off = ir.Constant(_BITS, [1] * WIDTH), ir.Constant(_BITS, [0] * WIDTH)
+    return builder.select(value, on, off)
+
+
+_register_logic(operator.and_, "and_")
+_register_logic(operator.or_, "or_")
+
+
+@intrinsic
+def _blend(typing_context: Any, which: Any, yes: Any, no: Any) -> Any:
+    kinds = (yes, no)
+    if not isinstance(which, MaskType) or not all(isinstance(k, LanesType) or k == types.float64 for k in kinds):
+        return None
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        left, right = (_as_lanes(builder, value, kind) for value, kind in zip(args[1:], kinds, strict=True))
+        return builder.select(args[0], left, right)
+
+    return lanes(which, yes, no), generate
+
+
+@overload(select)
+def _select(which, yes, no):
+    if isinstance(which, MaskType):
+        return lambda which, yes, no: _blend(which, yes, no)
+    return None
+
+
+@intrinsic
+def _any_lane(typing_context: Any, which: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        bits = builder.bitcast(args[0], ir.IntType(WIDTH))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(WIDTH), 0))
+
+    return types.boolean(which), generate
+
+
+def any_of(which: Any) -> Any:
+    """Whether a condition holds, or holds in any of the lanes."""
+    raise NotImplementedError("kernels only")
+
+
+@overload(any_of)
+def _any_of(which):
+    return (lambda which: _any_lane(which)) if isinstance(which, MaskType) else lambda which: which
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, row: Any) -> Any:
@@ -163,86 +278,31 @@ def _unary(name: str) -> Any:
     return function
 
 
-def _binary_each(name: str) -> Any:
+def _each(name: str) -> Any:
     """A function of the C library on the lanes one by one: the same bits as on floats."""
 
     @intrinsic
-    def function(typing_context: Any, left: Any, right: Any) -> Any:
-        if not isinstance(left, LanesType) or not isinstance(right, LanesType):
+    def function(typing_context: Any, value: Any) -> Any:
+        if not isinstance(value, LanesType):
             return None
 
         def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()] * 2)
+            kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()])
             call = cgutils.get_or_insert_function(builder.module, kind, name)
             out = ir.Constant(_VECTOR, ir.Undefined)
             for lane in range(WIDTH):
                 at = ir.Constant(ir.IntType(32), lane)
-                numbers = [builder.extract_element(vector, at) for vector in args]
-                out = builder.insert_element(out, builder.call(call, numbers), at)
+                out = builder.insert_element(out, builder.call(call, [builder.extract_element(args[0], at)]), at)
             return out
 
-        return lanes(lanes, lanes), generate
+        return lanes(lanes), generate
 
     return function
 
 
-_angle = _binary_each("atan2")
-_square_root = _unary("sqrt")
+_log, _exp = _each("log"), _each("exp")
+_square_root, _magnitude = _unary("sqrt"), _unary("fabs")
 floor = _unary("floor")
-
-
-def get(array: Any, i: Any) -> Any:
-    """Number i: a float of an array (n,), lanes of a table (n,WIDTH)."""
-    raise NotImplementedError("kernels only")
-
-
-def put(array: Any, i: Any, x: Any) -> None:
-    """Set number i; a float fills all lanes of a table."""
-    raise NotImplementedError("kernels only")
-
-
-def entry(array: Any, i: Any, j: Any) -> Any:
-    """Number (i,j) of an array (n,m) or a table (n,m,WIDTH)."""
-    raise NotImplementedError("kernels only")
-
-
-def set_entry(array: Any, i: Any, j: Any, x: Any) -> None:
-    """Set number (i,j)."""
-    raise NotImplementedError("kernels only")
-
-
-@overload(get)
-def _get(array, i):
-    return (lambda array, i: array[i]) if array.ndim == 1 else lambda array, i: load(array, i)
-
-
-@overload(put)
-def _put(array, i, x):
-    if array.ndim > 1:
-        return lambda array, i, x: store(array, i, as_lanes(x))
-
-    def put_float(array, i, x):
-        array[i] = x
-
-    return put_float
-
-
-@overload(entry)
-def _entry(array, i, j):
-    if array.ndim == 2:
-        return lambda array, i, j: array[i, j]
-    return lambda array, i, j: load(array, i * array.shape[1] + j)
-
-
-@overload(set_entry)
-def _set_entry(array, i, j, x):
-    if array.ndim > 2:
-        return lambda array, i, j, x: store(array, i * array.shape[1] + j, as_lanes(x))
-
-    def set_float(array, i, j, x):
-        array[i, j] = x
-
-    return set_float
 
 
 def as_lanes(x: Any) -> Any:
@@ -253,6 +313,16 @@ def as_lanes(x: Any) -> Any:
 @overload(as_lanes)
 def _lanes_of(x):
     return (lambda x: x) if isinstance(x, LanesType) else lambda x: splat(float(x))
+
+
+def alike(x: Any, number: Any) -> Any:
+    """A number as ``x`` is one: a float, or the same in each lane."""
+    raise NotImplementedError("kernels only")
+
+
+@overload(alike)
+def _alike(x, number):
+    return (lambda x, number: splat(float(number))) if isinstance(x, LanesType) else lambda x, number: float(number)
 
 
 def is_zero(x: Any) -> Any:
@@ -282,11 +352,38 @@ def circular(u):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def sine_cosine(x):
-    """Through the half angle: exact to rounding up to 90°, where latitudes end."""
-    half = 0.5 * x
-    sine, cosine = circular(-(half * half))
-    sine = half * sine
+    """Through a quarter of the angle, twice doubled: exact to rounding up to 4 rad."""
+    quarter = 0.25 * x
+    sine, cosine = circular(-(quarter * quarter))
+    sine = quarter * sine
+    sine, cosine = 2.0 * (sine * cosine), 1.0 - 2.0 * (sine * sine)
     return 2.0 * (sine * cosine), 1.0 - 2.0 * (sine * sine)
+
+
+_ATAN = (-0.8750608600031904, -16.157537187333652, -75.00855792314705, -122.88666844901361, -64.85021904942025)
+_ATAN_BELOW = (24.858464901423062, 165.02700983169885, 432.88106049129027, 485.3903996359137, 194.5506571482614)
+"""Rational approximation of arctan up to 0.66 (Moshier, *Cephes*): x + x z P(z) / Q(z), z = x²."""
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def arctangent(y, x):
+    """Angle of (x, y) in all quadrants, to the last digit or two; 0 where both are zero."""
+    along, across = abs(x), abs(y)
+    steep = across > along
+    small, large = select(steep, along, across), select(steep, across, along)
+    large = select(large > 0.0, large, 1.0)
+    eighth = small > 0.41421356237309503 * large
+    ratio = select(eighth, small - large, small) / select(eighth, small + large, large)
+    z = ratio * ratio
+    above = (((_ATAN[0] * z + _ATAN[1]) * z + _ATAN[2]) * z + _ATAN[3]) * z + _ATAN[4]
+    below = ((((z + _ATAN_BELOW[0]) * z + _ATAN_BELOW[1]) * z + _ATAN_BELOW[2]) * z + _ATAN_BELOW[3]) * z + _ATAN_BELOW[
+        4
+    ]
+    angle = ratio + ratio * (z * above / below)
+    angle = select(eighth, 0.25 * np.pi + angle, angle)
+    angle = select(steep, 0.5 * np.pi - angle, angle)
+    angle = select(x < 0.0, np.pi - angle, angle)
+    return select(y < 0.0, -angle, angle)
 
 
 @overload(np.sin)
@@ -313,8 +410,42 @@ def _sqrt(x):
 @overload(np.arctan2)
 def _arctan2(y, x):
     if isinstance(y, LanesType):
-        return lambda y, x: _angle(y, x)
+        return lambda y, x: arctangent(y, x)
     return None
+
+
+@overload(np.hypot)
+def _hypot(x, y):
+    if isinstance(x, LanesType):
+        return lambda x, y: _square_root(x * x + y * y)
+    return None
+
+
+@overload(np.tan)
+def _tan(x):
+    if isinstance(x, LanesType):
+
+        def tangent(x):
+            sine, cosine = sine_cosine(x)
+            return sine / cosine
+
+        return tangent
+    return None
+
+
+@overload(np.log)
+def _logarithm(x):
+    return (lambda x: _log(x)) if isinstance(x, LanesType) else None
+
+
+@overload(np.exp)
+def _exponential(x):
+    return (lambda x: _exp(x)) if isinstance(x, LanesType) else None
+
+
+@overload(abs)
+def _abs(x):
+    return (lambda x: _magnitude(x)) if isinstance(x, LanesType) else None
 
 
 @overload(np.mod)

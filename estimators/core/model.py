@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
 from estimators.core.propagate import Coupling, Scratch
@@ -158,4 +158,4 @@ def attitude(state):
 
 def is_single(model: Any) -> bool:
     """Whether a model's numbers are floats."""
-    return bool(model[model.fields.index("state")].ndim == 1)
+    return isinstance(model[model.fields.index("state")], types.Array)

@@ -10,7 +10,7 @@ what `propagate` computes sample by sample, but for rounding. e: eager, the firs
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numba.extending import overload
 
 from estimators.core.lanes import WIDTH, load, splat, store
@@ -30,14 +30,14 @@ def settle(p, scratch, chain):
 
 @overload(postpone)
 def _choose_postpone(p, scratch, coupling, drive, motion, dt):
-    if p.ndim == 2:
+    if isinstance(p, types.Array):
         return lambda p, scratch, coupling, drive, motion, dt: _postpone(p, scratch, coupling, drive, motion, dt)
     return lambda p, scratch, coupling, drive, motion, dt: None  # filters side by side carry all states at once
 
 
 @overload(settle)
 def _choose_settle(p, scratch, chain):
-    if p.ndim == 2:
+    if isinstance(p, types.Array):
         return lambda p, scratch, chain: _settle(p, scratch, chain)
     return lambda p, scratch, chain: None
 

@@ -8,15 +8,17 @@ filters that run side by side take a lane each.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numba.extending import overload
 from numpy.typing import NDArray
 
 from estimators.core.lanes import WIDTH, aligned, load, splat, store
 from estimators.core.nav_errors import nav_errors
+from estimators.core.tables import side_by_side
 
 NAV = 9
 """Errors of position, velocity and attitude, which every covariance begins with."""
@@ -107,13 +109,11 @@ def _waiting(n: int, states: int) -> tuple[Array, ...]:
     return phi, transition, waited, waited.reshape(-1), np.zeros(n), np.zeros(1)
 
 
-def make_covariances(p0: Array) -> tuple[Array, Scratch]:
-    """Covariances (n,n,WIDTH) of filters side by side, all of which start as ``p0`` (n,n), and their scratch."""
-    n = len(p0)
-    table = aligned(n * n)
-    table[:] = p0.reshape(-1, 1)
-    scratch = Scratch(table, aligned(NAV * n), aligned(1), aligned(1), *_waiting(n, 0))
-    return table.reshape(n, n, WIDTH), scratch
+def make_covariances(p0: Sequence[Array]) -> tuple[Any, Scratch]:
+    """Covariances of filters side by side that start as each of ``p0`` (n,n), and their scratch."""
+    p, n = side_by_side(p0), len(p0[0])
+    table = p.array.reshape(n * n, WIDTH)
+    return p, Scratch(table, aligned(NAV * n), aligned(1), aligned(1), *_waiting(n, 0))
 
 
 def propagate(p, scratch, coupling, motion, dt):
@@ -123,7 +123,7 @@ def propagate(p, scratch, coupling, motion, dt):
 
 @overload(propagate)
 def _propagate(p, scratch, coupling, motion, dt):
-    if p.ndim == 2:
+    if isinstance(p, types.Array):
         return lambda p, scratch, coupling, motion, dt: _columns_as_lanes(p, scratch, coupling, motion, dt)
     return lambda p, scratch, coupling, motion, dt: _filters_as_lanes(p, scratch, coupling, motion, dt)
 

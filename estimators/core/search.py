@@ -15,14 +15,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from estimators.core.composition import Composition, Prepared, make_lanes, make_timeline_of, prepare
-from estimators.core.lanes import WIDTH, aligned
+from estimators.core.composition import Composition, Prepared, imu_of, make_lanes, make_timeline_of, prepare
+from estimators.core.lanes import WIDTH
 from estimators.core.recording import keeper
+from estimators.core.tables import Table, zeros
 from estimators.core.timeline import walk
 from testbed.base.errors import InputError
 from testbed.data.records import SensorLog, Trajectory
 from testbed.physics import earth
-from testbed.physics.rotations import quat_to_euler, quats_to_eulers, wrap
+from testbed.physics.rotations import quat_to_euler, quats_to_eulers, select, wrap
 
 Array = NDArray[np.float64]
 
@@ -43,10 +44,10 @@ class Score(NamedTuple):
     stride: int
     truth: Array
     """(K,11) lat, lon, h, v_n, Euler angles, and metres per radian there"""
-    squares: Array
-    """(9,WIDTH) of the errors: m N, E, D; m/s; rad"""
-    deviance: Array
-    """(WIDTH,) sum of log det S + v' S^-1 v"""
+    squares: Table
+    """(9,) of the errors: m N, E, D; m/s; rad"""
+    deviance: Table
+    """(1,) sum of log det S + v' S^-1 v"""
     used: NDArray[np.int64]
     """(1,) updates"""
 
@@ -55,11 +56,9 @@ def _add_deviance(keep, model, e, count, fading):
     deviance, scalars = keep.deviance, model.work.scalars
     keep.used[0] += 1
     for a in range(count):
-        for lane in range(WIDTH):
-            variance = scalars[a, 1, lane]
-            # An S that is not positive definite has no likelihood.
-            square = scalars[a, 0, lane] ** 2
-            deviance[lane] += np.log(variance) + square / variance if variance > 0.0 else np.inf
+        left, variance = scalars[a, 0], scalars[a, 1]
+        # An S that is not positive definite has no likelihood.
+        deviance[0] += select(variance > 0.0, np.log(variance) + left * left / variance, np.inf)
 
 
 def _add_squares(keep, model, k):
@@ -72,7 +71,7 @@ keeper(Score, _add_deviance, _add_squares)
 
 @njit(cache=True, nogil=True, _nrt=False)
 def add_squares(state, row, squares):
-    """Add the squares of the errors of ``state`` (10+k,WIDTH) against a row of truth to ``squares`` (9,WIDTH)."""
+    """Add the squares of the errors of ``state`` (10+k,) against a row of truth to ``squares`` (9,)."""
     east = np.mod(state[1] - row[1] + np.pi, 2.0 * np.pi) - np.pi
     errors = (
         (state[0] - row[0]) * row[9],
@@ -84,10 +83,10 @@ def add_squares(state, row, squares):
     )
     for i in range(6):
         squares[i] = squares[i] + errors[i] * errors[i]
-    for lane in range(WIDTH):
-        euler = quat_to_euler((state[6, lane], state[7, lane], state[8, lane], state[9, lane]))
-        for i in range(3):
-            squares[6 + i, lane] += wrap(euler[i] - row[6 + i]) ** 2
+    euler = quat_to_euler((state[6], state[7], state[8], state[9]))
+    for i in range(3):
+        error = wrap(euler[i] - row[6 + i])
+        squares[6 + i] += error * error
 
 
 class Searcher:
@@ -110,6 +109,7 @@ class Searcher:
         columns = [reference.lat, reference.lon, reference.h, reference.v_n, quats_to_eulers(reference.q_nb), *metres]
         self._truth = np.column_stack(columns)[rows]
         self._prepared, self._stride = prepare(composition, log), stride
+        self._imu = imu_of([self._prepared])
 
     def __call__(self, candidate: Candidate) -> tuple[Array, float]:
         """RMSE (9,) and deviance of one candidate."""
@@ -128,18 +128,13 @@ class Searcher:
         prepared = self._prepared
         if any(getattr(candidate, "measurement_noise", None) is not None for candidate in candidates):
             prepared = replace(prepared, mix=None)  # deviations of the candidates' own, without correlations
-        lanes = [candidates[min(lane, len(candidates) - 1)].noise(prepared) for lane in range(WIDTH)]
-        noise = []
-        for values in zip(*lanes, strict=True):
-            table = aligned(values[0].size).reshape(*values[0].shape, WIDTH)
-            for lane, value in enumerate(values):
-                table[..., lane] = value
-            noise.append(table)
-        score = Score(self._stride, self._truth, aligned(9), np.zeros(WIDTH), np.zeros(1, dtype=np.int64))
+        noise = [candidate.noise(prepared) for candidate in candidates]
+        filters = [replace(prepared, white=white, drive=drive, r=r) for white, drive, r in noise]
+        score = Score(self._stride, self._truth, zeros(9), zeros(1), np.zeros(1, dtype=np.int64))
         line = make_timeline_of(prepared)
-        walk(line, make_lanes(prepared, noise[0], noise[1], noise[2], score), len(line.t))
-        rmse = np.sqrt(score.squares / len(self._truth))
+        walk(line, make_lanes(filters, score, self._imu), len(line.t))
+        rmse = np.sqrt(score.squares.array / len(self._truth))
         rmse[6:] = np.degrees(rmse[6:])
         with np.errstate(divide="ignore", invalid="ignore"):
-            deviance = score.deviance / score.used[0] if score.used[0] else np.full(WIDTH, np.inf)
+            deviance = score.deviance.array[0] / score.used[0] if score.used[0] else np.full(WIDTH, np.inf)
         return rmse.T[: len(candidates)], deviance[: len(candidates)]

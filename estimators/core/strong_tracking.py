@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from testbed.physics.rotations import select
+
 EKF, STEKF, RSTEKF = 0, 1, 2
 CEILING = (1e4, 1e3, np.pi, 10.0, 1.0)
 """Position (m), velocity (m/s), attitude (rad), accelerometer (m/s²) and gyro bias (rad/s): a standard deviation of this
@@ -23,19 +25,18 @@ def smooth_innovations(mean_square, residual, forgetting, first):
     """``mean_square`` (m,) = diagonal of Y_k = (rho Y_{k-1} + v v') / (1 + rho), in place; Y_1 = v v'."""
     for i in range(mean_square.shape[0]):
         square = residual[i] * residual[i]
-        mean_square[i] = square if first else (forgetting * mean_square[i] + square) / (1.0 + forgetting)
+        mean_square[i] = select(first, square, (forgetting * mean_square[i] + square) / (1.0 + forgetting))
 
 
 @njit(cache=True, nogil=True, _nrt=False)
 def fading_factor(mean_square, covariance, r):
     """L = max(1, tr(N (Y - R)) / tr(N H P H')), N = R^-1, of the common channels; ``covariance`` = H P H' + R."""
-    excess, predicted = 0.0, 0.0
+    excess, predicted = 0.0 * r[0], 0.0 * r[0]
     for i in range(mean_square.shape[0]):
         excess += mean_square[i] / r[i] - 1.0
         predicted += covariance[i, i] / r[i] - 1.0
-    if predicted <= 0.0:
-        return 1.0
-    return max(1.0, excess / predicted)
+    known = select(predicted > 0.0, predicted, 1.0)
+    return select((predicted > 0.0) & (excess > predicted), excess / known, 1.0)
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -45,8 +46,10 @@ def fade(p, factor, roots):
     A state at its ceiling keeps its variance; rows and columns are scaled together, so P stays positive.
     """
     for i in range(15):
-        room = CEILING[i // 3] * CEILING[i // 3] / p[i, i] if p[i, i] > 0.0 else factor
-        roots[i] = np.sqrt(min(factor, max(1.0, room)))
+        ceiling = CEILING[i // 3] * CEILING[i // 3]
+        full = p[i, i] > ceiling
+        room = select(full, 1.0, ceiling / select(p[i, i] > 0.0, p[i, i], 1.0))
+        roots[i] = np.sqrt(select((p[i, i] > 0.0) & (room < factor), room, factor))
     for i in range(15):
         for j in range(15):
             p[i, j] *= roots[i] * roots[j]

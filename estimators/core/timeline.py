@@ -12,13 +12,15 @@ A filter is a NamedTuple of arrays, its *model*, and four kernels that `steps` t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
+
+from testbed.base.errors import InputError
 
 INLINED = {"forceinline": True, "nogil": True, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """For what takes a whole model: by value it is hundreds of numbers, and to hand them on takes 50 ns. Nor is it called from
@@ -46,6 +48,14 @@ def make_timeline(start: float, t: NDArray[np.float64], event_t: NDArray[np.floa
     """The time line of a filter that starts at ``start``; events before it are passed over."""
     first = int(np.searchsorted(event_t, start - SAME_TIME))
     return Timeline(t, event_t, np.array([start], dtype=np.float64), np.array([0, first], dtype=np.int64))
+
+
+def require_one_timeline(lines: Sequence[Timeline], who: str) -> None:
+    """Raises InputError where the lines are not of the same times: filters side by side share one."""
+    first = lines[0]
+    for line in lines[1:]:
+        if not all(np.array_equal(a, b) for a, b in zip(first, line, strict=True)):
+            raise InputError(f"{who}: logs that are filtered side by side need the same times of samples and fixes")
 
 
 _STEPS: dict[type, tuple[Callable[..., Any], ...]] = {}

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from estimators.core.lanes import is_zero
+from testbed.physics.rotations import select
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -106,13 +107,15 @@ def cholesky(s, factor):
         pivot = s[j, j]
         for k in range(j):
             pivot -= factor[j, k] * factor[j, k]
-        root = np.sqrt(pivot) if pivot > 1e-14 * s[j, j] or np.isnan(pivot) else 0.0
+        # a pivot that is not a number is none, so that a filter that has diverged says so
+        root = select((pivot > 1e-14 * s[j, j]) | (pivot != pivot), np.sqrt(abs(pivot)), 0.0)
         factor[j, j] = root
+        divisor = select(root != 0.0, root, np.inf)
         for i in range(j + 1, n):
             total = s[i, j]
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
-            factor[i, j] = total / root if root != 0.0 else 0.0
+            factor[i, j] = total / divisor
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -121,12 +124,12 @@ def whiten(covariance, residual, factor, white):
 
     Returns v' S^-1 v; not a number where S is not positive definite, as in a filter that has diverged.
     """
-    square = 0.0
+    square = 0.0 * residual[0]
     cholesky(covariance, factor)
     for i in range(residual.shape[0]):
         left = residual[i]
         for k in range(i):
             left -= factor[i, k] * white[k]
-        white[i] = left / factor[i, i] if factor[i, i] > 0.0 else np.nan
+        white[i] = left / select(factor[i, i] > 0.0, factor[i, i], np.nan)
         square += white[i] * white[i]
     return square

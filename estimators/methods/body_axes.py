@@ -11,11 +11,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import overload
 from numpy.typing import NDArray
 
+from estimators.core.lanes import any_of
 from estimators.core.timeline import inner
-from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_multiply, quat_to_euler
+from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_multiply, quat_to_euler, select
 
 Array = NDArray[np.float64]
 
@@ -72,9 +74,17 @@ def turned_angles(roll, pitch, yaw, sign):
     return quat_to_euler(quat_multiply(euler_to_quat(roll, pitch, yaw), (HALF, 0.0, -sign * HALF, 0.0)))
 
 
-@njit(cache=True, nogil=True, _nrt=False)
 def turn_state(x, p, sign):
-    """State (15,) and covariance (15,15) from b to b' (``sign`` 1) or back (-1), in place."""
+    """State (15,) and covariance (15,15) from b to b' (``sign`` 1) or back (-1), in place. Kernels only, not on tables."""
+    raise NotImplementedError("kernels only")
+
+
+@overload(turn_state)
+def _turn_state_of(x, p, sign):
+    return _turn_state if isinstance(x, types.Array) else lambda x, p, sign: None
+
+
+def _turn_state(x, p, sign):
     old = euler_error_matrix(x[6], x[7], x[8])
     x[6], x[7], x[8] = turned_angles(x[6], x[7], x[8], sign)
     turn_triple(x, 9, sign)
@@ -111,6 +121,27 @@ def turn_noise(noise):
         noise[first], noise[first + 2] = noise[first + 2], noise[first]
 
 
+def may_turn(x, near):
+    """Whether a filter near the pole may change its axes; side by side none may, and those that are there become NaN.
+
+    Kernels only. Whoever reads the lanes runs such a filter again by itself.
+    """
+    raise NotImplementedError("kernels only")
+
+
+@overload(may_turn)
+def _may_turn(x, near):
+    if isinstance(x, types.Array):
+        return lambda x, near: True
+
+    def lose(x, near):
+        for i in range(6, 9):
+            x[i] = select(near, np.nan, x[i])
+        return False
+
+    return lose
+
+
 @inner
 def mind_the_pole(model, k):
     """Note the axes of sample ``k``, and change over where the single filter ``model`` has come near the pole of its own."""
@@ -118,7 +149,8 @@ def mind_the_pole(model, k):
     if k >= axes.history.shape[0]:
         return
     axes.history[k] = axes.turned[0]
-    if near_pole(axes.turned[0], x[6], x[7]):
+    near = near_pole(axes.turned[0], x[6], x[7])
+    if any_of(near) and may_turn(x, near):
         sign = -1.0 if axes.turned[0] else 1.0
         turn_state(x, model.p, sign)
         turn_setting(model.motion.setting, sign)

@@ -7,8 +7,9 @@ bench's conventions. SI, radians, NED.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,12 @@ from numpy.typing import NDArray
 from estimators.aiding.gnss import MINIMUM_STD, require_gnss
 from estimators.blocks.imu import noise_model
 from estimators.core.composition import SNAPSHOT_INTERVAL_S
+from estimators.core.lanes import WIDTH
 from estimators.core.recording import Recording
+from estimators.core.side_by_side import recording_in_lanes
 from estimators.core.strong_tracking import FILTERS
-from estimators.core.timeline import Timeline, make_timeline, walk
+from estimators.core.tables import combined, of_lane
+from estimators.core.timeline import Timeline, make_timeline, require_one_timeline, walk
 from estimators.methods.body_axes import HALF, TURN, Axes, near_pole, turn_noise, turn_setting, turned_angles
 from estimators.methods.direct_kernels import MEASUREMENTS, Ekf, Inputs, Tracking, make_work
 from estimators.methods.motion_models import ACCELERATED, Motion, Setting
@@ -28,6 +32,11 @@ from testbed.physics import earth
 from testbed.physics.rotations import euler_error_matrix, eulers_to_quats, quat_multiply, quat_to_euler, wrap
 
 Array = NDArray[np.float64]
+
+SHARED = frozenset(["decay", "lever", "noise", "transition", "since"])
+"""Fields of the models that are the same in all runs of a scenario."""
+FRESH = frozenset(["work", "points", "mixing", "figures", "theta"])
+"""Fields that are written before they are read."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,48 @@ class DirectFilter:
         for key, (low, high, _) in self.parameter_space.items():
             check_range(self.name, key, getattr(self, key), low, high)
 
+    def run(self, log: SensorLog) -> NavSolution:
+        """Filter the log. Raises InputError when it has no GNSS."""
+        task = self.problem(log)
+        model, line = self.model(task), task.timeline()
+        walk(line, model, len(task.t))
+        return self.answer(task, model, int(line.place[1]))
+
+    def run_many(self, logs: Sequence[SensorLog]) -> list[NavSolution]:
+        """`run` on each of some logs with one time line, `WIDTH` at a time in lanes (`estimators.core.tables`).
+
+        What comes out for a log depends on no other; a filter near the pole of its angles goes by itself. Raises
+        InputError for logs whose samples and fixes are not of the same times.
+        """
+        tasks = [self.problem(log) for log in logs]
+        together = [k for k, task in enumerate(tasks) if not task.axes.turned[0]]
+        found: dict[int, NavSolution] = {}
+        for first in range(0, len(together), WIDTH):
+            block = together[first : first + WIDTH]
+            found |= zip(block, self._side_by_side([tasks[k] for k in block]), strict=True)
+        lost = [k for k in range(len(logs)) if k not in found or not np.isfinite(found[k].lat).all()]
+        return [self.run(log) if k in lost else found[k] for k, log in enumerate(logs)]
+
+    def _side_by_side(self, tasks: list[DirectProblem]) -> list[NavSolution]:
+        require_one_timeline([task.timeline() for task in tasks], self.name)
+        line, keep = tasks[0].timeline(), recording_in_lanes(tasks[0].keep)
+        models = [self.model(task)._replace(keep=()) for task in tasks]
+        model = combined(models, SHARED, FRESH)._replace(keep=keep)
+        walk(line, model, len(line.t))
+        used, answers = int(line.place[1]), []
+        for lane, task in enumerate(tasks):
+            own = of_lane(model, lane)
+            answers.append(self.answer(replace(task, keep=own.keep, axes=own.axes), own, used))
+        return answers
+
+    def model(self, task: DirectProblem) -> Any:
+        """The filter at the start of a task, for `estimators.core.timeline.walk`."""
+        raise NotImplementedError
+
+    def answer(self, task: DirectProblem, model: Any, used: int) -> NavSolution:
+        """The solution of ``model``, which has walked the task and used so many fixes."""
+        raise NotImplementedError
+
     def problem(self, log: SensorLog) -> DirectProblem:
         """The log in the filters' own coordinates, with Q and R scaled as declared."""
         scales = (self.accel_noise_scale, self.gyro_noise_scale, self.accel_bias_scale, self.gyro_bias_scale)
@@ -73,12 +124,10 @@ class DirectEkf(DirectFilter):
         """(rho, chi-square threshold) of the strong-tracking update: unused by the plain filter."""
         return 1.0, np.inf
 
-    def run(self, log: SensorLog) -> NavSolution:
-        """Filter the log. Raises InputError when it has no GNSS."""
-        task = self.problem(log)
-        model, line = make_ekf(task, self.filter_name, *self.tracking()), task.timeline()
-        walk(line, model, len(task.t))
-        used = int(line.place[1])
+    def model(self, task: DirectProblem) -> Ekf:
+        return make_ekf(task, self.filter_name, *self.tracking())
+
+    def answer(self, task: DirectProblem, model: Ekf, used: int) -> NavSolution:
         extras = {"test_statistic": (task.gnss_t[:used], model.theta[:used])}
         if self.filter_name != "ekf":
             extras["fading_factor"] = (task.gnss_t[:used], task.keep.fading[:used])

@@ -13,15 +13,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core import strong_tracking
+from estimators.core.lanes import alike, any_of
 from estimators.core.lever_arm import lever_arm
 from estimators.core.recording import note_sample, note_update
 from estimators.core.strapdown import coning_sculling
 from estimators.core.timeline import inner, steps
 from estimators.core.update import innovation_covariance, update, whiten
 from estimators.methods.body_axes import Axes, load, mind_the_pole
-from estimators.methods.motion_models import N_STATES, Motion, Step, add_process_noise, advance, transition
+from estimators.methods.motion_models import COUPLED, N_STATES, Motion, Step, add_process_noise, advance, transition
 from testbed.physics import earth
-from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_to_matrix, wrap
+from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_to_matrix, select, wrap
 
 Array = NDArray[np.float64]
 
@@ -108,21 +109,24 @@ class Ekf(NamedTuple):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def propagate_covariance(p, phi, work):
-    """P = Phi P Phi' in place; ``phi`` as `transition` makes it (diagonal below row 8). ``work`` (15,15) is scratch."""
+def propagate_covariance(p, phi, coupled, work):
+    """P = Phi P Phi' in place; ``phi`` as `transition` makes it (diagonal below row 8). ``work`` (15,15) is scratch.
+
+    ``coupled``: the row of `motion_models.COUPLED` of its model.
+    """
     for i in range(9):
         for c in range(N_STATES):
             work[i, c] = phi[i, i] * p[i, c]
         for k in range(N_STATES):
-            weight = phi[i, k]
-            if weight != 0.0 and k != i:
+            if coupled[i, k]:
                 for c in range(N_STATES):
-                    work[i, c] += weight * p[k, c]
+                    work[i, c] += phi[i, k] * p[k, c]
     for i in range(9):
         for j in range(i + 1):
-            total = 0.0
+            total = work[i, j] * phi[j, j]
             for k in range(N_STATES):
-                total += work[i, k] * phi[j, k]
+                if coupled[j, k]:
+                    total += work[i, k] * phi[j, k]
             p[i, j] = total
             p[j, i] = total
         for j in range(9, N_STATES):
@@ -140,7 +144,7 @@ def carry(motion, x, p, step, phi, rows):
     advance(motion, x, step, rows[15])
     for i in range(N_STATES):
         x[i] = rows[15, i]
-    propagate_covariance(p, phi, rows)
+    propagate_covariance(p, phi, COUPLED[motion.model], rows)
     add_process_noise(p, phi, motion.noise, step.dt)
 
 
@@ -159,7 +163,7 @@ def arm_of(x, imu, setting):
     m = quat_to_matrix(euler_to_quat(x[6], x[7], x[8]))
     north, east = earth.metres_per_radian(lat, place[1] - x[2])
     rate = (imu[0] - x[12], imu[1] - x[13], imu[2] - x[14])
-    return m, lever_arm(m, setting.lever, rate, lat), (place[2] / north, place[3] / east, 1.0)
+    return m, lever_arm(m, setting.lever, rate, lat), (place[2] / north, place[3] / east, alike(lat, 1.0))
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -215,16 +219,16 @@ def take_fix(tracking, x, p, seen, setting, work):
     antenna_sensitivity(x, imu, setting, h)
     innovation_covariance(p, h, r, s, work.scratch)
     theta = whiten(s, residual, work.factor, work.white)
-    fading = 1.0
+    fading = alike(theta, 1.0)
     if tracking.filter != strong_tracking.EKF:
         mean_square = tracking.memory[:MEASUREMENTS]
         strong_tracking.smooth_innovations(
             mean_square, residual, tracking.forgetting, tracking.memory[MEASUREMENTS] == 0.0
         )
         tracking.memory[MEASUREMENTS] += 1.0
-        if tracking.filter == strong_tracking.STEKF or theta > tracking.threshold:
-            fading = strong_tracking.fading_factor(mean_square, s, r)
-        if fading > 1.0:
+        least = -np.inf if tracking.filter == strong_tracking.STEKF else tracking.threshold
+        fading = select(theta > least, strong_tracking.fading_factor(mean_square, s, r), fading)
+        if any_of(fading > 1.0):
             strong_tracking.fade(p, fading, work.scratch[0])
             innovation_covariance(p, h, r, s, work.scratch)
     update(x, p, residual, h, r, work.scalars, work.scratch)
@@ -235,10 +239,10 @@ def take_fix(tracking, x, p, seen, setting, work):
 @njit(cache=True, nogil=True, _nrt=False)
 def log_likelihood(scalars):
     """Of an innovation: the logarithm of its density, from the ``scalars`` (m,2) of `estimators.core.update.update`."""
-    total = scalars.shape[0] * np.log(2.0 * np.pi)
+    total = alike(scalars[0, 0], scalars.shape[0] * np.log(2.0 * np.pi))
     for a in range(scalars.shape[0]):
         left, variance = scalars[a, 0], scalars[a, 1]
-        total += np.log(variance) + left * left / variance if variance > 0.0 else np.nan
+        total += select(variance > 0.0, np.log(variance) + left * left / variance, np.nan)
     return -0.5 * total
 
 

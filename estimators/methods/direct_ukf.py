@@ -10,11 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from estimators.core.timeline import walk
 from estimators.methods.direct import DirectFilter, DirectProblem
 from estimators.methods.direct_kernels import make_work
 from estimators.methods.ukf_kernels import Ukf, make_points, make_spread
-from testbed.data.records import NavSolution, SensorLog
+from testbed.data.records import NavSolution
 
 
 @dataclass(frozen=True)
@@ -36,12 +35,10 @@ class DirectUkf(DirectFilter):
         "kappa": (-12.0, 12.0, "linear"),
     }
 
-    def run(self, log: SensorLog) -> NavSolution:
-        """Filter the log. Raises InputError when it has no GNSS."""
-        task = self.problem(log)
-        model, line = make_ukf(task, self.alpha, self.beta, self.kappa), task.timeline()
-        walk(line, model, len(task.t))
-        used = int(line.place[1])
+    def model(self, task: DirectProblem) -> Ukf:
+        return make_ukf(task, self.alpha, self.beta, self.kappa)
+
+    def answer(self, task: DirectProblem, model: Ukf, used: int) -> NavSolution:
         return task.solution(used, {"test_statistic": (task.gnss_t[:used], model.theta[:used])})
 
 

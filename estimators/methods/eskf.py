@@ -7,7 +7,7 @@ Groves, 2nd ed., chapter 14; parts: `estimators.blocks`, `estimators.aiding`, `e
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,6 +18,7 @@ from estimators.aiding import AIDINGS
 from estimators.blocks import BLOCKS
 from estimators.core.composition import Composition, Prepared, prepare
 from estimators.core.heading_bank import likeliest_start, run_or_search
+from estimators.core.side_by_side import run_side_by_side
 from estimators.core.smoother import smooth
 from estimators.core.stepwise import Stepwise
 from estimators.policies import POLICIES, positive
@@ -100,6 +101,12 @@ class Eskf:
         """Filter the log. Raises InputError when it lacks what a part needs."""
         prepared = self.prepared(log)
         return smooth(likeliest_start(prepared)) if self.smooth else run_or_search(prepared)
+
+    def run_many(self, logs: Sequence[SensorLog]) -> list[NavSolution]:
+        """`run` on each of some logs with the same times, side by side where the composition lets them."""
+        if self.smooth:
+            return [self.run(log) for log in logs]
+        return run_side_by_side([self.prepared(log) for log in logs])
 
     def start(self, log: SensorLog) -> Stepwise:
         """The filter at the start of a log, to be led step by step. Raises InputError as `run` does, and with ``smooth``."""

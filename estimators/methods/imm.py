@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.core.strong_tracking import FILTERS
-from estimators.core.timeline import walk
 from estimators.methods.direct import DirectFilter, DirectProblem, check_range, chi_square_threshold
 from estimators.methods.direct_kernels import MEASUREMENTS, Tracking, make_work
 from estimators.methods.imm_kernels import Acceleration, Aiding, Bank, Branches, Mixing, Modes, interact
 from estimators.methods.motion_models import MODELS
 from testbed.base.errors import InputError, nearest
-from testbed.data.records import NavSolution, SensorLog
+from testbed.data.records import NavSolution
 
 Array = NDArray[np.float64]
 
@@ -165,15 +164,8 @@ class ImmEkf(DirectFilter):
             raise InputError(f"{self.name}: {key} must be {what} probabilities whose rows sum to 1, got {value!r}")
         return array
 
-    def run(self, log: SensorLog) -> NavSolution:
-        """Filter the log. Raises InputError when it has no GNSS.
-
-        Extras at the fixes, one column per branch: ``mode_probability``, ``test_statistic``, ``fading_factor``.
-        """
-        task = self.problem(log)
-        model, line = self.model(task), task.timeline()
-        walk(line, model, len(task.t))
-        used = int(line.place[1])
+    def answer(self, task: DirectProblem, model: Bank, used: int) -> NavSolution:
+        """Extras at the fixes, one column per branch: ``mode_probability``, ``test_statistic``, ``fading_factor``."""
         names = ("mode_probability", "test_statistic", "fading_factor")
         extras = {name: (task.gnss_t[:used], model.figures[:used, i]) for i, name in enumerate(names)}
         return replace(task.solution(used, extras), extra_names=dict.fromkeys(extras, tuple(self.branch_names())))

@@ -14,10 +14,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from estimators.core.lanes import alike, any_of
 from estimators.core.recording import note_update
 from estimators.core.timeline import SAME_TIME, inner, steps
 from estimators.core.update import update
-from estimators.methods.body_axes import Axes, near_pole, turn_noise, turn_setting, turn_state
+from estimators.methods.body_axes import Axes, may_turn, near_pole, turn_noise, turn_setting, turn_state
 from estimators.methods.direct_kernels import (
     MEASUREMENTS,
     Inputs,
@@ -27,12 +28,11 @@ from estimators.methods.direct_kernels import (
     carry,
     stretch,
     take_fix,
-    wrap_angles,
 )
 from estimators.methods.direct_kernels import record as record_state
 from estimators.methods.motion_models import N_STATES, Motion, Setting
 from testbed.physics import earth
-from testbed.physics.rotations import wrap
+from testbed.physics.rotations import select, wrap
 
 Array = NDArray[np.float64]
 
@@ -130,11 +130,11 @@ class Bank(NamedTuple):
 @njit(cache=True, nogil=True, _nrt=False)
 def log_probabilities(prior, log_likelihood, posterior):
     """``posterior`` (B,) = prior * likelihood, normalised, from log likelihoods of any size."""
-    best = -np.inf
+    best = alike(prior[0], -np.inf)
     for j in range(prior.shape[0]):
-        posterior[j] = np.log(prior[j]) + log_likelihood[j] if prior[j] > 0.0 else -np.inf
-        best = max(best, posterior[j])
-    total = 0.0
+        posterior[j] = select(prior[j] > 0.0, np.log(prior[j]) + log_likelihood[j], -np.inf)
+        best = select(posterior[j] > best, posterior[j], best)
+    total = alike(best, 0.0)
     for j in range(prior.shape[0]):
         posterior[j] = np.exp(posterior[j] - best)
         total += posterior[j]
@@ -145,15 +145,16 @@ def log_probabilities(prior, log_likelihood, posterior):
 @njit(cache=True, nogil=True, _nrt=False)
 def mixture_mean(weights, states, mean):
     """Weighted ``mean`` (15,) of ``states`` (B,15), whose angles are first moved within pi of the likeliest branch's."""
-    best = np.argmax(weights)
     for i in range(N_STATES):
-        mean[i] = states[best, i]
-    for j in range(weights.shape[0]):
-        if j != best:
-            for i in range(6, 9):
-                states[j, i] = states[best, i] + wrap(states[j, i] - states[best, i])
-            for i in range(N_STATES):
-                mean[i] += weights[j] * (states[j, i] - states[best, i])
+        most, best = weights[0], states[0, i]
+        for j in range(1, weights.shape[0]):
+            likelier = weights[j] > most
+            most, best = select(likelier, weights[j], most), select(likelier, states[j, i], best)
+        mean[i] = best
+        for j in range(weights.shape[0]):
+            if 6 <= i < 9:
+                states[j, i] = best + wrap(states[j, i] - best)
+            mean[i] += weights[j] * (states[j, i] - best)
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -165,11 +166,12 @@ def combine(weights, states, covariances, mean, covariance):
             covariance[a, b] = 0.0
     for j in range(weights.shape[0]):
         w = weights[j]
-        if w > 0.0:
+        if any_of(w > 0.0):
             for a in range(N_STATES):
                 spread = w * (states[j, a] - mean[a])
                 for b in range(N_STATES):
-                    covariance[a, b] += w * covariances[j, a, b] + spread * (states[j, b] - mean[b])
+                    added = w * covariances[j, a, b] + spread * (states[j, b] - mean[b])
+                    covariance[a, b] += select(w > 0.0, added, 0.0)
     for i in range(6, 9):
         mean[i] = wrap(mean[i])
 
@@ -181,7 +183,7 @@ def combine_stored(weights, states, covariances, mean, covariance):
     for a in range(N_STATES):
         last = 9 if 6 <= a < 9 else a + 1
         for b in range(a, last):
-            total = 0.0
+            total = alike(weights[0], 0.0)
             for j in range(weights.shape[0]):
                 spread = (states[j, a] - mean[a]) * (states[j, b] - mean[b])
                 total += weights[j] * (covariances[j, a, b] + spread)
@@ -209,18 +211,15 @@ def mix(probability, transition, states, covariances, predicted, weights, mixed_
     """Interaction in place: every branch restarts from the mixture that its model sees; ``predicted`` (B,) = c."""
     count = probability.shape[0]
     for j in range(count):
-        total = 0.0
+        total = alike(probability[0], 0.0)
         for i in range(count):
             weights[i] = transition[i, j] * probability[i]
             total += weights[i]
         predicted[j] = total
-        if total > 0.0:
-            for i in range(count):
-                weights[i] /= total
-            combine(weights, states, covariances, mixed_states[j], mixed_covariances[j])
-        else:
-            put_row(mixed_states[j], states[j])
-            put_rows(mixed_covariances[j], covariances[j])
+        reached = total > 0.0
+        for i in range(count):
+            weights[i] = select(reached, weights[i] / select(reached, total, 1.0), 1.0 if i == j else 0.0)
+        combine(weights, states, covariances, mixed_states[j], mixed_covariances[j])
     put_rows(states, mixed_states)
     for j in range(count):
         put_rows(covariances[j], mixed_covariances[j])
@@ -241,30 +240,36 @@ def aid_with_angles(x, p, seen, setting, aiding, work):
     g = earth.gravity(setting.place[0] + x[0] / setting.place[2], setting.place[1] - x[2])
     square = fx * fx + fy * fy + fz * fz
     limit = aiding.rate_limit
-    if wx * wx + wy * wy + wz * wz > limit * limit or abs(np.sqrt(square) - g) > aiding.gravity_tolerance * g:
-        return
+    slow = wx * wx + wy * wy + wz * wz <= limit * limit
     yz = fy * fy + fz * fz
     root = np.sqrt(yz)
-    if root < 0.1 * g:
+    valid = slow & (abs(np.sqrt(square) - g) <= aiding.gravity_tolerance * g) & (root >= 0.1 * g)
+    if not any_of(valid):
         return
     residual, h, r = work.white, work.h, work.r
     h[:] = 0.0
-    residual[0] = wrap(np.arctan2(-fy, -fz) - x[6])
-    h[0, 6], h[0, 10], h[0, 11] = 1.0, fz / yz, -fy / yz
-    residual[1] = np.arctan2(fx, root) - x[7]
-    h[1, 7], h[1, 9] = 1.0, root / square
-    h[1, 10], h[1, 11] = -fx * fy / (root * square), -fx * fz / (root * square)
+    # without a weight in H an update leaves all as it is, to the last bit
+    one, by_yz, by_all = select(valid, 1.0, 0.0), select(valid, 1.0 / yz, 0.0), select(valid, 1.0 / square, 0.0)
+    by_both = by_all * select(valid, 1.0 / root, 0.0)
+    residual[0] = select(valid, wrap(np.arctan2(-fy, -fz) - x[6]), 0.0)
+    h[0, 6], h[0, 10], h[0, 11] = one, fz * by_yz, -fy * by_yz
+    residual[1] = select(valid, np.arctan2(fx, root) - x[7], 0.0)
+    h[1, 7], h[1, 9] = one, root * by_all
+    h[1, 10], h[1, 11] = -fx * fy * by_both, -fx * fz * by_both
     r[0] = aiding.tilt_variance
     r[1] = aiding.tilt_variance
     count = 2
     speed_square = z[3] * z[3] + z[4] * z[4]
-    if speed_square > aiding.minimum_speed * aiding.minimum_speed:
-        residual[2] = wrap(np.arctan2(z[4], z[3]) - x[8])
-        h[2, 8] = 1.0
-        r[2] = aiding.course_variance + max(variances[3], variances[4]) / speed_square
+    moving = valid & (speed_square > aiding.minimum_speed * aiding.minimum_speed)
+    if any_of(moving):
+        residual[2] = select(moving, wrap(np.arctan2(z[4], z[3]) - x[8]), 0.0)
+        h[2, 8] = select(moving, 1.0, 0.0)
+        worst = select(variances[3] > variances[4], variances[3], variances[4])
+        r[2] = select(moving, aiding.course_variance + worst / speed_square, 1.0)
         count = 3
     update(x, p, residual[:count], h[:count], r[:count], work.scalars, work.scratch)
-    wrap_angles(x)
+    for i in range(6, 9):
+        x[i] = select(valid, wrap(x[i]), x[i])
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
@@ -365,7 +370,8 @@ def _mind_the_pole(model, k):
     """As `body_axes.mind_the_pole`: all branches change over where their mixture is near the pole of its angles."""
     axes, x, branches = model.axes, model.state, model.branches
     axes.history[k] = axes.turned[0]
-    if near_pole(axes.turned[0], x[6], x[7]):
+    near = near_pole(axes.turned[0], x[6], x[7])
+    if any_of(near) and may_turn(branches.states[0], near):
         sign = -1.0 if axes.turned[0] else 1.0
         for j in range(branches.models.shape[0]):
             turn_state(branches.states[j], branches.covariances[j], sign)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from estimators.aiding.gnss import MINIMUM_STD, require_gnss
 from estimators.core.composition import Composition, Prepared, prepare
 from estimators.core.heading_bank import require_heading, run_or_search
+from estimators.core.side_by_side import run_side_by_side
 from estimators.core.stepwise import Stepwise
 from testbed.base.errors import InputError
 from testbed.data.records import NavSolution, SensorLog, Trajectory
@@ -75,6 +76,10 @@ class IndirectKf:
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log. Raises InputError when it has no GNSS."""
         return run_or_search(self.prepared(log))
+
+    def run_many(self, logs: Sequence[SensorLog]) -> list[NavSolution]:
+        """`run` on each of some logs with the same times, side by side."""
+        return run_side_by_side([self.prepared(log) for log in logs])
 
     def start(self, log: SensorLog) -> Stepwise:
         """The filter at the start of a log, to be led step by step. Raises InputError when it has no GNSS."""

@@ -18,6 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core import strapdown
+from estimators.core.lanes import alike
 from testbed.physics import earth
 from testbed.physics.rotations import euler_to_quat, quat_to_euler
 
@@ -28,6 +29,15 @@ CV, CT, ACCELERATED, SINGER = 0, 1, 2, 3
 MODELS = {"cv": CV, "ct": CT, "accelerated": ACCELERATED, "singer": SINGER}
 """Names in scenarios. `singer` carries an acceleration estimated from the last fixes on, fading with its time constant
 (infinite: constant acceleration, CA)."""
+
+
+COUPLED = np.zeros((len(MODELS), N_STATES, N_STATES), dtype=np.bool_)
+"""Entries off the diagonal of `transition` that a model may fill."""
+COUPLED[:, 0, 2:4] = COUPLED[:, 1, [0, 2, 4]] = COUPLED[:, 2, 5] = True
+COUPLED[:, 6:9, [3, 4, 6, 7, 8, 12, 13, 14]] = True
+COUPLED[CT, 3:5] = COUPLED[CT, 8]
+COUPLED[ACCELERATED, 3:6, 2:12] = True
+COUPLED[:, range(N_STATES), range(N_STATES)] = False
 
 
 class Setting(NamedTuple):
@@ -260,7 +270,7 @@ def add_process_noise(p, phi, noise, dt):
     """
     for i in range(3, 9):
         for j in range(3, i + 1):
-            total = 0.0
+            total = alike(phi[i, 9], 0.0)
             for k in range(6):
                 total += phi[i, 9 + k] * phi[j, 9 + k] * noise[k]
             total /= dt

@@ -19,7 +19,7 @@ from estimators.core.update import cholesky, whiten
 from estimators.methods.body_axes import Axes
 from estimators.methods.direct_kernels import MEASUREMENTS, Inputs, Work, antenna, begin, end, stretch, wrap_angles
 from estimators.methods.motion_models import N_STATES, Motion, add_process_noise, advance, transition
-from testbed.physics.rotations import wrap
+from testbed.physics.rotations import select, wrap
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def unscented_moments(points, weights, first_angle, last_angle, mean, covariance
     ``weights`` = (central for the mean, central for the covariance, every other). Columns from ``first_angle`` up to,
     not including, ``last_angle`` are angles (rad).
     """
-    count, m = points.shape
+    count, m = points.shape[0], points.shape[1]
     for j in range(m):
         mean[j] = points[0, j]
         points[0, j] = 0.0
@@ -132,7 +132,7 @@ def unscented_correct(x, p, deviations, readings, weights, work):
 
     ``work`` (`direct_kernels.Work`) holds the innovation, and S with the noise in it. Returns the test statistic v' S^-1 v.
     """
-    count, n = deviations.shape
+    count, n = deviations.shape[0], deviations.shape[1]
     m = readings.shape[1]
     factor, white, root = work.factor, work.white, work.h
     theta = whiten(work.s.reshape((m, m)), work.residual, factor, white)
@@ -147,7 +147,7 @@ def unscented_correct(x, p, deviations, readings, weights, work):
         for b in range(a):
             for i in range(n):
                 root[a, i] -= factor[a, b] * root[b, i]
-        pivot = factor[a, a] if factor[a, a] > 0.0 else np.nan
+        pivot = select(factor[a, a] > 0.0, factor[a, a], np.nan)
         for i in range(n):
             root[a, i] /= pivot
             x[i] += root[a, i] * white[a]

@@ -5,6 +5,7 @@ The method of "Update INS" in comparisons of outage bridging. NED frame, SI unit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -41,9 +42,15 @@ class UpdateIns(IndirectKf):
 
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log, then replace each outage by free integration. ``std`` in an outage is the filter's own."""
+        return self._restarted(log, super().run(log))
+
+    def run_many(self, logs: Sequence[SensorLog]) -> list[NavSolution]:
+        """`run` on each of some logs with the same times, side by side."""
+        return [self._restarted(*pair) for pair in zip(logs, super().run_many(logs), strict=True)]
+
+    def _restarted(self, log: SensorLog, solution: NavSolution) -> NavSolution:
         from estimators.core.strapdown import integrate
 
-        solution = super().run(log)
         lla = np.column_stack([solution.lat, solution.lon, solution.h])
         v_n, q_nb = solution.v_n.copy(), solution.q_nb.copy()
         assert solution.accel_bias is not None and solution.gyro_bias is not None

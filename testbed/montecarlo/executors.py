@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 import types
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
@@ -29,7 +29,7 @@ from testbed.base.child_processes import can_fork, quietly
 from testbed.base.errors import InputError, MissingExtra, TestbedError
 from testbed.base.time_limit import single_threaded, thread_environment
 from testbed.montecarlo.store import encode
-from testbed.montecarlo.work_unit import Bench, Setup, UnitResult, lost
+from testbed.montecarlo.work_unit import BLOCK, Bench, Setup, UnitResult, lost
 
 POLL_S = 0.25
 GRACE_S = 5.0
@@ -52,12 +52,22 @@ def pack(setup: Setup, result: UnitResult) -> Finished:
     return Finished(result.run, encode(result, setup.batch), result.files)
 
 
-def inline(setup: Setup, runs: Iterable[int]) -> Iterator[Finished]:
+Block = tuple[int, ...]
+"""The runs of a unit."""
+
+
+def blocks_of(setup: Setup, runs: Sequence[int], workers: int) -> list[Block]:
+    """Units of neighbouring runs, as large as may be and yet so that every worker has one."""
+    size = max(1, min(BLOCK, math.ceil(len(runs) / max(1, workers)))) if setup.scenario.monte_carlo.side_by_side else 1
+    return [tuple(runs[k : k + size]) for k in range(0, len(runs), size)]
+
+
+def inline(setup: Setup, runs: Sequence[int]) -> Iterator[Finished]:
     """Compute the units in this process, one after the other."""
     with single_threaded():
         bench = Bench(setup)
-        for run in runs:
-            yield pack(setup, bench.execute(run))
+        for block in blocks_of(setup, runs, 1):
+            yield from (pack(setup, result) for result in bench.execute_block(block))
 
 
 _bench: Bench | None = None
@@ -72,7 +82,7 @@ def _start_worker(setup: Setup, heartbeats: str) -> None:
     threading.Thread(target=_die_with_parent, daemon=True).start()
     _standing.enter_context(single_threaded())
     _bench, _heartbeats = Bench(setup), Path(heartbeats)
-    _beat(-1, "", None)
+    _beat((), "", None)
 
 
 def _die_with_parent() -> None:
@@ -82,16 +92,17 @@ def _die_with_parent() -> None:
         os._exit(1)
 
 
-def _beat(run: int, estimator: str, limit: float | None) -> None:
+def _beat(runs: Sequence[int], estimator: str, limit: float | None) -> None:
     """Leave word of what this process begins and when it should be done."""
     assert _heartbeats is not None
     deadline = time.monotonic() + limit if limit is not None else math.inf
-    (_heartbeats / str(os.getpid())).write_text(f"{run}\n{deadline!r}\n{estimator}")
+    text = f"{' '.join(map(str, runs))}\n{deadline!r}\n{estimator}"
+    (_heartbeats / str(os.getpid())).write_text(text)
 
 
-def _work(run: int, skip: dict[str, str]) -> Finished:
+def _work(block: Block, skip: dict[int, dict[str, str]]) -> list[Finished]:
     assert _bench is not None
-    return pack(_bench.setup, _bench.execute(run, skip, _beat))
+    return [pack(_bench.setup, result) for result in _bench.execute_block(block, skip, _beat)]
 
 
 class Pool:
@@ -106,58 +117,58 @@ class Pool:
         self._failed_starts = 0
         self._skip: dict[int, dict[str, str]] = {}
 
-    def run(self, runs: Iterable[int]) -> Iterator[Finished]:
-        """Units in the order in which they are done; two per worker are in flight, the first from now on."""
-        units = self._units(iter(runs))
+    def run(self, runs: Sequence[int]) -> Iterator[Finished]:
+        """Runs in the order in which they are done; two units per worker are in flight, the first from now on."""
+        units = self._units(iter(blocks_of(self.setup, runs, self.jobs)))
         next(units)
         return units  # type: ignore[return-value]  # only the first, which is taken, is None
 
-    def _units(self, waiting: Iterator[int]) -> Iterator[Finished | None]:
-        """None once the first units are in flight, so that closing the generator ends the workers even then; the units."""
-        flying: dict[Future[Finished], int] = {}
+    def _units(self, waiting: Iterator[Block]) -> Iterator[Finished | None]:
+        """None once the first units are in flight, so that closing the generator ends the workers even then; the runs."""
+        flying: dict[Future[list[Finished]], Block] = {}
         again: list[int] = []
         try:
-            flying |= {self._submit(run): run for run in islice(waiting, 2 * self.jobs)}
+            flying |= {self._submit(block): block for block in islice(waiting, 2 * self.jobs)}
             yield None
             while True:
-                while len(flying) < 2 * self.jobs and (run := next(waiting, None)) is not None:
-                    flying[self._submit(run)] = run
+                while len(flying) < 2 * self.jobs and (block := next(waiting, None)) is not None:
+                    flying[self._submit(block)] = block
                 if not flying:
                     break
                 done, _ = wait(flying, timeout=POLL_S, return_when=FIRST_COMPLETED)
                 if self.limit:
                     self._kill_hanging(self.limit)
                 for future in done:
-                    run = flying.pop(future)
+                    block = flying.pop(future)
                     try:
-                        unit = future.result()
+                        done_runs = future.result()
                     except BrokenProcessPool:
-                        again.append(run)
+                        again += block
                     else:
                         self._failed_starts = 0
-                        yield unit
+                        yield from done_runs
                 if again:
-                    again += list(flying.values())
+                    again += [run for block in flying.values() for run in block]
                     flying.clear()
                     self._shutdown()
                     alone = self._suspects(again)
                     for run in alone:
                         yield self._alone(run)
                     for run in sorted(set(again) - set(alone)):
-                        flying[self._submit(run)] = run
+                        flying[self._submit((run,))] = (run,)
                     again = []
         finally:
             self._shutdown()
             self._folder.cleanup()
 
-    def _submit(self, run: int) -> Future[Finished]:
+    def _submit(self, block: Block) -> Future[list[Finished]]:
         if self._executor is None:
             self._executor = self._start(self.jobs)
         with thread_environment(), _without_main(), quietly():
             try:
-                return self._executor.submit(_work, run, self._skip.get(run, {}))
+                return self._executor.submit(_work, block, {run: self._skip[run] for run in block if run in self._skip})
             except BrokenProcessPool as error:
-                failed: Future[Finished] = Future()
+                failed: Future[list[Finished]] = Future()
                 failed.set_exception(error)
                 return failed
 
@@ -168,27 +179,29 @@ class Pool:
 
     def _kill_hanging(self, limit: float) -> None:
         """Kill workers whose estimator does not heed its time limit, and give that estimator up for the run."""
-        for pid, run, deadline, estimator in self._heartbeats():
+        for pid, block, deadline, estimator in self._heartbeats():
             if estimator and time.monotonic() > deadline + GRACE_S:
-                self._skip.setdefault(run, {})[estimator] = f"timeout: no answer within {limit:g} s, worker killed"
-                self._broken[run] = 0
+                if len(block) == 1:  # of several, each is tried by itself next
+                    told = f"timeout: no answer within {limit:g} s, worker killed"
+                    self._skip.setdefault(block[0], {})[estimator] = told
+                    self._broken[block[0]] = 0
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
-                (Path(self._folder.name) / str(pid)).write_text("-1\n0\n")
+                (Path(self._folder.name) / str(pid)).write_text("\n0\n")
 
-    def _heartbeats(self) -> list[tuple[int, int, float, str]]:
-        """(process, run, deadline, estimator) of what each worker last began; an empty estimator means nothing."""
+    def _heartbeats(self) -> list[tuple[int, Block, float, str]]:
+        """(process, runs, deadline, estimator) of what each worker last began; an empty estimator means nothing."""
         out = []
         for path in Path(self._folder.name).iterdir():
             lines = path.read_text().split("\n", 2)
             if len(lines) == 3:
-                out.append((int(path.name), int(lines[0]), float(lines[1]), lines[2]))
+                out.append((int(path.name), tuple(map(int, lines[0].split())), float(lines[1]), lines[2]))
         return out
 
     def _suspects(self, lost: list[int]) -> list[int]:
         """Runs that were being computed in more than `ATTEMPTS` pools that broke."""
         heartbeats = self._heartbeats()
-        active = {run for _, run, _, estimator in heartbeats if estimator}
+        active = {run for _, block, _, estimator in heartbeats if estimator and len(block) == 1 for run in block}
         for path in Path(self._folder.name).iterdir():
             path.unlink()
         for run in active & set(lost):
@@ -206,14 +219,14 @@ class Pool:
         for _ in range(len(self.setup.scenario.estimators) + 2):
             self._executor = self._start(1)
             try:
-                future = self._submit(run)
+                future = self._submit((run,))
                 while not wait([future], timeout=POLL_S).done:
                     if self.limit:
                         self._kill_hanging(self.limit)
-                return future.result()
+                return future.result()[0]
             except BrokenProcessPool:
                 for _, active, _, estimator in self._heartbeats():
-                    if active == run and estimator:
+                    if active == (run,) and estimator:
                         self._skip.setdefault(run, {})[estimator] = (
                             "failed: it ended its worker process (crash or memory)"
                         )
@@ -250,14 +263,14 @@ def _without_main() -> Iterator[None]:
 _cluster_benches: dict[tuple[str, tuple[str, ...], float | None], Bench] = {}
 
 
-def cluster_work(setup: Setup, run: int) -> Finished:
+def cluster_work(setup: Setup, block: Block) -> list[Finished]:
     """A unit on a worker that may never have heard of this batch; its bench stays for the next unit."""
     key = (setup.scenario.digest(), setup.plugins, setup.timeout_s)
     if key not in _cluster_benches:
         _cluster_benches.clear()
         _standing.enter_context(single_threaded())
         _cluster_benches[key] = Bench(setup)
-    return pack(setup, _cluster_benches[key].execute(run))
+    return [pack(setup, result) for result in _cluster_benches[key].execute_block(block)]
 
 
 def connect(address: str) -> Any:
@@ -275,7 +288,7 @@ def connect(address: str) -> Any:
         raise InputError(f"no Dask scheduler answers at {address} ({error})") from None
 
 
-def cluster(setup: Setup, runs: Iterable[int], client: Any) -> Iterator[Finished]:
+def cluster(setup: Setup, runs: Sequence[int], client: Any) -> Iterator[Finished]:
     """Compute the units on the Dask cluster of ``client``, two per thread in flight."""
     from concurrent.futures import CancelledError
 
@@ -283,21 +296,23 @@ def cluster(setup: Setup, runs: Iterable[int], client: Any) -> Iterator[Finished
     from distributed.scheduler import KilledWorker
 
     executor = client.get_executor(pure=False)
-    waiting = iter(runs)
-    flying: dict[Future[Finished], int] = {}
+    waiting = iter(blocks_of(setup, runs, sum(client.nthreads().values())))
+    flying: dict[Future[list[Finished]], Block] = {}
     while True:
         wanted = 2 * max(1, sum(client.nthreads().values()))
-        while len(flying) < wanted and (run := next(waiting, None)) is not None:
-            flying[executor.submit(cluster_work, setup, run)] = run
+        while len(flying) < wanted and (block := next(waiting, None)) is not None:
+            flying[executor.submit(cluster_work, setup, block)] = block
         if not flying:
             return
         done, _ = wait(flying, return_when=FIRST_COMPLETED)
         for future in done:
-            run = flying.pop(future)
+            block = flying.pop(future)
             try:
-                unit = future.result()
+                yield from future.result()
             except KilledWorker:
-                unit = pack(setup, lost(setup, run, "it ended every Dask worker that computed it"))
+                if len(block) > 1:  # find out which of them it is
+                    flying |= {executor.submit(cluster_work, setup, (run,)): (run,) for run in block}
+                else:
+                    yield pack(setup, lost(setup, block[0], "it ended every Dask worker that computed it"))
             except (CancelledError, CommClosedError) as error:
                 raise TestbedError("the Dask cluster is gone; run the same command with --resume") from error
-            yield unit

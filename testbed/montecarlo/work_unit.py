@@ -1,15 +1,17 @@
-"""The unit of work of a Monte Carlo: one run, from one flight and one seed to the scores of every estimator.
+"""The unit of work of a Monte Carlo: a few runs, each from one flight and one seed to the scores of every estimator.
 
-A unit is a pure function of `Setup` and the run's number (but for the seconds that it took), so it may be computed in
-any process, in any order, and again. It returns the bytes of its files; only the main process writes to the disk.
+What comes out for a run is a pure function of `Setup` and its number (but for the seconds that it took), so it may be computed
+in any process, in any order, beside any other runs, and again. It returns the bytes of its files; only the main process writes
+to the disk.
 """
 
 from __future__ import annotations
 
+import hashlib
 import sysconfig
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,8 +38,13 @@ ENVELOPE_POINTS = 600
 FOREIGN = (str(Path(__file__).parents[1]), *(sysconfig.get_paths()[kind] for kind in ("stdlib", "purelib", "platlib")))
 """Folders of code that is no estimator's: an error that comes up there has its cause further out."""
 
-Heartbeat = Callable[[int, str, float | None], None]
-"""Called with run, estimator row and time limit (s) before an estimator starts; with an empty row when the unit ends."""
+BLOCK = 8
+"""Most runs of a unit: estimators with ``run_many`` filter so many side by side."""
+LONGEST_BLOCK = 50_000
+"""IMU samples of a log above which each run goes by itself: eight solutions of 50,000 rows are a quarter of a gigabyte."""
+
+Heartbeat = Callable[[Sequence[int], str, float | None], None]
+"""Called with runs, estimator row and time limit (s) before an estimator starts; with an empty row when the unit ends."""
 
 
 @dataclass(frozen=True)
@@ -80,12 +87,28 @@ class UnitResult:
     files: dict[str, bytes] = field(default_factory=dict)
     """Files of the folder ``details``, from run 0 only."""
 
+    skipped: dict[str, str] = field(default_factory=dict)
+    """Estimators that are known to kill or hang a worker in this run, and their status."""
+
     def put_in_order(self, rows: list[str]) -> None:
         """Sort everything by the scenario's rows, in whatever order they ran."""
         place = {row: k for k, row in enumerate(rows)}
         self.outcomes.sort(key=lambda outcome: place[outcome.estimator])
         self.rows.sort(key=lambda row: place[row[0]])
         self.series = dict(sorted(self.series.items(), key=lambda item: place[item[0][0]]))
+
+
+@dataclass
+class Sensed:
+    """A run before any estimator: its truth, what the sensors recorded and erred by, and where it is scored."""
+
+    result: UnitResult
+    trajectory: Trajectory
+    log: SensorLog
+    errors: SensorErrors | None
+    windows: list[Window]
+    for_details: list[tuple[EstimatorConfig, NavSolution, metrics.ErrorSeries]] = field(default_factory=list)
+    """What run 0 is drawn from."""
 
 
 class Bench:
@@ -97,6 +120,7 @@ class Bench:
             load_plugin(plugin)
         self._trajectory: Trajectory | None = None
         self._warm: set[str] = set()
+        self._times: bytes | None = None
 
     def trajectory(self, run: int) -> Trajectory:
         """The flight of a run."""
@@ -106,61 +130,140 @@ class Bench:
             self._trajectory = pipeline.fly(self.setup.scenario, 0)
         return self._trajectory
 
-    def execute(
-        self, run: int, skip: Mapping[str, str] | None = None, heartbeat: Heartbeat | None = None
-    ) -> UnitResult:
-        """Compute a unit. ``skip`` maps estimators that are known to kill or hang a worker to their status."""
-        scenario, result = self.setup.scenario, UnitResult(run)
-        try:
-            trajectory = self.trajectory(run)
-            log, errors = pipeline.sense(scenario, trajectory, run=run)
-            windows = pipeline.windows_of(scenario, trajectory, log)
-            trajectory = pipeline.truth_at_imu(trajectory, log)
-        except Exception as error:
-            return lost(self.setup, run, f"no data: {_reason(error)}")
-        collected: list[tuple[EstimatorConfig, NavSolution, metrics.ErrorSeries]] = []
-        # Every other run goes backwards: two workers that find nothing compiled share the kernels out between them.
-        order = scenario.estimators if run % 2 == 0 else scenario.estimators[::-1]
+    def execute(self, run: int) -> UnitResult:
+        """Compute one run."""
+        return self.execute_block([run])[0]
+
+    def execute_block(
+        self,
+        runs: Sequence[int],
+        skip: Mapping[int, Mapping[str, str]] | None = None,
+        heartbeat: Heartbeat | None = None,
+    ) -> list[UnitResult]:
+        """Compute a unit. ``skip``: of a run, the estimators that are known to kill or hang a worker, and their status."""
+        scenario, lost_runs, sensed = self.setup.scenario, [], []
+        for run in runs:
+            try:
+                sensed.append(self._sense(run))
+                sensed[-1].result.skipped |= (skip or {}).get(run, {})
+            except Exception as error:
+                lost_runs.append(lost(self.setup, run, f"no data: {_reason(error)}"))
+        # Every other unit goes backwards: two workers that find nothing compiled share the kernels out between them.
+        order = scenario.estimators if runs[0] // len(runs) % 2 == 0 else scenario.estimators[::-1]
+        beside = [each for each in sensed if self._may_go_beside_others(each.log)]
         for entry in order:
-            if skip and entry.row in skip:
-                result.outcomes.append(Outcome(entry.row, _short(skip[entry.row]), skip[entry.row]))
-                continue
-            limit = self.setup.limit_s
-            if limit is not None and entry.name not in self._warm:
-                limit += self.setup.cold_s
-            if heartbeat is not None:
-                heartbeat(run, entry.row, limit)
-            outcome, solution = self._estimate(entry, log, limit)
-            self._warm.add(entry.name)
-            if solution is not None:
-                outcome, series = self._score(result, outcome, solution, trajectory, log, errors, windows)
-                if series is not None and run == 0:
-                    collected.append((entry, solution, series))
-            result.outcomes.append(outcome)
-        result.put_in_order([entry.row for entry in scenario.estimators])
-        if run == 0:
-            result.files = details.make(scenario, trajectory, log, collected)
+            together = self._side_by_side(entry, beside, heartbeat)
+            for each in sensed:
+                self._take(entry, each, together.get(each.result.run), heartbeat)
+        for each in sensed:
+            each.result.put_in_order([entry.row for entry in scenario.estimators])
+            if each.result.run == 0:
+                each.result.files = details.make(scenario, each.trajectory, each.log, each.for_details)
         if heartbeat is not None:
-            heartbeat(run, "", None)
-        return result
+            heartbeat(runs, "", None)
+        return sorted([*lost_runs, *(each.result for each in sensed)], key=lambda result: result.run)
+
+    def _sense(self, run: int) -> Sensed:
+        scenario, trajectory = self.setup.scenario, self.trajectory(run)
+        log, errors = pipeline.sense(scenario, trajectory, run=run)
+        windows = pipeline.windows_of(scenario, trajectory, log)
+        return Sensed(UnitResult(run), pipeline.truth_at_imu(trajectory, log), log, errors, windows)
+
+    def _may_go_beside_others(self, log: SensorLog) -> bool:
+        """Whether a log has the times of run 0, which alone decides, or the bytes of a run would hang on its neighbours."""
+        scenario = self.setup.scenario
+        if not scenario.monte_carlo.side_by_side or (scenario.recording is not None and scenario.sensors is None):
+            return False
+        if len(log.imu.t) > LONGEST_BLOCK:
+            return False
+        if self._times is None:
+            self._times = _times_of(log if log.run == 0 else pipeline.sense(scenario, self.trajectory(0), run=0)[0])
+        return _times_of(log) == self._times
+
+    def _side_by_side(
+        self, entry: EstimatorConfig, sensed: Sequence[Sensed], heartbeat: Heartbeat | None
+    ) -> dict[int, tuple[Outcome, NavSolution]]:
+        """Outcome and solution per run of an estimator that takes several logs at once; nothing where it does not.
+
+        Where it fails on some, it is asked again for each of them alone, so that a fault costs only its own run.
+        """
+        taken = [each for each in sensed if entry.row not in each.result.skipped]
+        try:
+            estimator = make_estimator(entry.name, **entry.params)
+            many: Any = getattr(estimator, "run_many", None)
+            if not taken or not goes_side_by_side(estimator):
+                return {}
+        except Exception:
+            return {}  # `_estimate` says what is wrong
+        found: dict[int, tuple[Outcome, NavSolution]] = {}
+        for part in [taken, *([each] for each in taken)]:
+            if part[0].result.run in found or (part is not taken and len(taken) == 1):
+                continue
+            try:
+                limit = self._announce(entry, [each.result.run for each in part], heartbeat)
+                solutions, seconds = self._timed(many, [each.log for each in part], limit)
+            except (KeyboardInterrupt, MemoryError):
+                raise
+            except BaseException as error:
+                if _is_interrupt(error):
+                    raise KeyboardInterrupt from error
+                continue
+            for each, solution in zip(part, solutions, strict=True):
+                samples = len(each.log.imu.t)
+                found[each.result.run] = Outcome(entry.row, "ok", "", seconds / len(part), samples), solution
+        return found
+
+    def _announce(self, entry: EstimatorConfig, runs: Sequence[int], heartbeat: Heartbeat | None) -> float | None:
+        """Time limit (s) of an estimator on these runs, which the heartbeat is told."""
+        limit = self.setup.limit_s
+        if limit is not None:
+            limit = limit * len(runs) + (self.setup.cold_s if entry.name not in self._warm else 0.0)
+        if heartbeat is not None:
+            heartbeat(runs, entry.row, limit)
+        self._warm.add(entry.name)
+        return limit
+
+    @staticmethod
+    def _timed(work: Callable[[Any], Any], data: Any, limit: float | None) -> tuple[Any, float]:
+        """What ``work`` makes of ``data``, and its seconds but for those in which kernels are compiled or loaded."""
+        guard: AbstractContextManager[Any] = time_limit(limit) if limit else nullcontext()
+        compiling: list[float] = []
+        with guard, np.errstate(all="ignore"), event.install_timer("numba:compiler_lock", compiling.append):
+            start = time.perf_counter()
+            done = work(data)
+            seconds = time.perf_counter() - start
+        return done, seconds - sum(compiling)
+
+    def _take(
+        self,
+        entry: EstimatorConfig,
+        sensed: Sensed,
+        answer: tuple[Outcome, NavSolution] | None,
+        heartbeat: Heartbeat | None,
+    ) -> None:
+        """Add what an estimator makes of a run to its result; ``answer`` where it is known already."""
+        result = sensed.result
+        if entry.row in result.skipped:
+            reason = result.skipped[entry.row]
+            result.outcomes.append(Outcome(entry.row, _short(reason), reason))
+            return
+        outcome, solution = answer or self._estimate(entry, sensed.log, self._announce(entry, [result.run], heartbeat))
+        if solution is not None:
+            outcome, series = self._score(sensed, outcome, solution)
+            if series is not None and result.run == 0:
+                sensed.for_details.append((entry, solution, series))
+        result.outcomes.append(outcome)
 
     def _estimate(
         self, entry: EstimatorConfig, log: SensorLog, limit: float | None
     ) -> tuple[Outcome, NavSolution | None]:
         """One estimator on one log; whatever it raises costs only its own row."""
-        guard: AbstractContextManager[Any] = time_limit(limit) if limit else nullcontext()
         samples, start = len(log.imu.t), time.perf_counter()
         try:
-            with guard:
-                estimator = make_estimator(entry.name, **entry.params)
-                if not getattr(estimator, "timed", True):
-                    samples = 0  # and so none of the tables of times has it
-                compiling: list[float] = []
-                with np.errstate(all="ignore"), event.install_timer("numba:compiler_lock", compiling.append):
-                    start = time.perf_counter()
-                    solution = estimator.run(log)
-                    seconds = time.perf_counter() - start
-                seconds -= sum(compiling)  # or a process's first run would count what kernels take to compile or load
+            estimator = make_estimator(entry.name, **entry.params)
+            if not getattr(estimator, "timed", True):
+                samples = 0  # and so none of the tables of times has it
+            solution, seconds = self._timed(estimator.run, log, limit)
             if not isinstance(solution, NavSolution):
                 raise InputError(f"run(log) returned {type(solution).__name__}, not a NavSolution")
         except TimeLimitError:
@@ -175,17 +278,11 @@ class Bench:
         return Outcome(entry.row, "ok", "", seconds, samples), solution
 
     def _score(
-        self,
-        result: UnitResult,
-        outcome: Outcome,
-        solution: NavSolution,
-        trajectory: Trajectory,
-        log: SensorLog,
-        errors: SensorErrors | None,
-        windows: list[Window],
+        self, sensed: Sensed, outcome: Outcome, solution: NavSolution
     ) -> tuple[Outcome, metrics.ErrorSeries | None]:
         """Add the rows and series of a solution to the result; a diverged one adds none."""
-        row = outcome.estimator
+        row, result = outcome.estimator, sensed.result
+        trajectory, log, errors, windows = sensed.trajectory, sensed.log, sensed.errors, sensed.windows
         with np.errstate(all="ignore"):
             try:
                 span = max(trajectory.t[0], log.imu.t[0]), min(trajectory.t[-1], log.imu.t[-1])
@@ -209,6 +306,22 @@ class Bench:
         for name, values in time_series(series, solution, tests, trajectory).items():
             result.series[row, name] = values
         return outcome, series
+
+
+def goes_side_by_side(estimator: Any) -> bool:
+    """Whether an estimator's ``run_many`` is as much its own as its ``run``: a class that changes ``run`` alone goes singly."""
+    ancestry = type(estimator).__mro__
+    owner = {name: next((k for k, c in enumerate(ancestry) if name in vars(c)), None) for name in ("run", "run_many")}
+    run, many = owner["run"], owner["run_many"]
+    return many is not None and run is not None and many <= run
+
+
+def _times_of(log: SensorLog) -> bytes:
+    """Hash of the times of all that a log holds."""
+    digest = hashlib.sha256(np.float64(log.initial.t).tobytes() + log.imu.t.tobytes())
+    for kind, samples in log.aiding.items():
+        digest.update(kind.encode() + np.ascontiguousarray(samples.t).tobytes())
+    return digest.digest()
 
 
 def lost(setup: Setup, run: int, reason: str) -> UnitResult:

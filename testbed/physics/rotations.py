@@ -47,6 +47,18 @@ def quat_normalize(q):
     return (q[0] * n, q[1] * n, q[2] * n, q[3] * n)
 
 
+def select(which, yes, no):
+    """``yes`` where ``which`` holds, else ``no``; kernels only. Another kind of number brings its own."""
+    raise NotImplementedError("kernels only")
+
+
+@overload(select)
+def _select_float(which, yes, no):
+    if not isinstance(which, types.Boolean):
+        return None
+    return lambda which, yes, no: yes if which else no
+
+
 def half_turn(square):
     """Cosine of half an angle and sine of half of it over the angle, from the angle's ``square`` (rad²); kernels only.
 
@@ -164,21 +176,15 @@ def quat_to_euler(q):
     up, down = np.hypot(up_cos, up_sin), np.hypot(down_cos, down_sin)
     pitch = np.arctan2(2.0 * (q[0] * q[2] - q[1] * q[3]), up * down)
     half_sum, half_difference = np.arctan2(up_sin, up_cos), np.arctan2(down_sin, down_cos)
-    if up < EULER_POLE * down:
-        half_sum = -half_difference
-    elif down < EULER_POLE * up:
-        half_difference = -half_sum
+    half_sum = select(up < EULER_POLE * down, -half_difference, half_sum)
+    half_difference = select(down < EULER_POLE * up, -half_sum, half_difference)
     return _half_turn(half_sum + half_difference), pitch, _half_turn(half_sum - half_difference)
 
 
 @njit(cache=True)
 def _half_turn(angle):
     """An angle within (-2 pi, 2 pi] into [-pi, pi]; one that is inside keeps its bits."""
-    if angle > np.pi:
-        return angle - 2.0 * np.pi
-    if angle < -np.pi:
-        return angle + 2.0 * np.pi
-    return angle
+    return select(angle > np.pi, angle - 2.0 * np.pi, select(angle < -np.pi, angle + 2.0 * np.pi, angle))
 
 
 @njit(cache=True)
@@ -191,7 +197,8 @@ def attitude_error(q_estimate, q_truth):
 def euler_error_matrix(roll, pitch, yaw):
     """J (nested tuples) with phi_n = J @ (d roll, d pitch, d yaw): Euler-angle errors to the rotation vector in n."""
     cp, sp, cy, sy = np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-    return ((cp * cy, -sy, 0.0), (cp * sy, cy, 0.0), (-sp, 0.0, 1.0))
+    zero = 0.0 * cp  # of the kind that the others are
+    return ((cp * cy, -sy, zero), (cp * sy, cy, zero), (-sp, zero, zero + 1.0))
 
 
 @njit(cache=True)

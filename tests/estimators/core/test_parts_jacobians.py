@@ -13,10 +13,11 @@ from numba import njit
 
 from estimators.core import calls
 from estimators.core.composition import Composition, make_model, make_recording, prepare
-from estimators.core.lanes import WIDTH, aligned
+from estimators.core.lanes import WIDTH
 from estimators.core.model import AUX, INVARIANT
 from estimators.core.parts import AIDINGS, BLOCKS
 from estimators.core.propagate import NAV
+from estimators.core.tables import side_by_side, spread, zeros
 from testbed.base.schema import validate
 from testbed.physics import earth
 from testbed.physics.rotations import attitude_error, quat_multiply, quat_to_rotvec, rotvec_to_quat
@@ -137,7 +138,7 @@ def test_aiding(aiding):
     assert np.abs(h).max() > 0.5 or aiding == "heading"
 
 
-@pytest.mark.parametrize("aiding", AIDINGS)
+@pytest.mark.parametrize("aiding", [name for name in AIDINGS if AIDINGS[name].in_lanes])
 def test_aiding_in_lanes(aiding):
     """Each lane is the float version: to rounding (sines are series there) of the largest number that goes into it, which
     for a position is the radius of the Earth, for a range rate a satellite's speed, and a speed or a field of 100 elsewhere."""
@@ -146,18 +147,18 @@ def test_aiding_in_lanes(aiding):
     m, rng = len(part.channels), np.random.default_rng(2)
     steps = np.concatenate([100.0 * STEPS, np.full(n - NAV, AUX_STEP)])
     states = [moved(steps * rng.standard_normal(n)) for _ in range(WIDTH)]
-    state, imu, residual, h = aligned(AUX + n - NAV), aligned(6), aligned(m), aligned(m * n).reshape(m, n, WIDTH)
-    for lane, one in enumerate(states):
-        state[:, lane], imu[:, lane] = one, sample(one)
+    state, imu, residual, h = side_by_side(states), side_by_side([sample(one) for one in states]), zeros(m), zeros(m, n)
     z = values.z[0].copy() if len(values.z) else np.zeros(values.z.shape[1])
     where = calls.address(part.measure, calls.MEASURE_LANES)
-    call_part_lanes(where, state, imu, values.parameters, z, residual, h)
+    call_part_lanes(where, state, imu, values.parameters, spread(z), residual, h)
     for lane, one in enumerate(states):
         expected, expected_h = measured(aiding, one)
         for a, channel in enumerate(part.channels):
             size = earth.A if channel.endswith(", m") else 4000.0 if aiding == "doppler" else 100.0
-            assert residual[a, lane] == pytest.approx(expected[a], abs=4.0 * np.finfo(float).eps * size)
-        np.testing.assert_allclose(h[:, :, lane], expected_h, rtol=0.0, atol=1e-13 * max(1.0, np.abs(expected_h).max()))
+            assert residual.array[a, lane] == pytest.approx(expected[a], abs=4.0 * np.finfo(float).eps * size)
+        np.testing.assert_allclose(
+            h.array[:, :, lane], expected_h, rtol=0.0, atol=1e-13 * max(1.0, np.abs(expected_h).max())
+        )
 
 
 def imu_model(block, aux, imu):
@@ -194,13 +195,11 @@ def test_block(block):
         unit = np.eye(k)[i]
         numerical = 0.5 * (imu_model(block, unit, imu) - imu_model(block, -unit, imu))
         np.testing.assert_allclose(np.concatenate([accel[i], gyro[i]]), numerical, rtol=0.0, atol=1e-14 * 11.0)
-    felt = aligned(6)
-    felt[:] = imu[:, None]
-    many, turn = aligned(k * 3).reshape(k, 3, WIDTH), aligned(k * 3).reshape(k, 3, WIDTH)
-    call_couple_lanes(calls.address(part.couple, calls.COUPLE_LANES), aligned(k), felt, many, turn)
+    many, turn = zeros(k, 3), zeros(k, 3)
+    call_couple_lanes(calls.address(part.couple, calls.COUPLE_LANES), zeros(k), spread(imu), many, turn)
     for lane in range(WIDTH):
-        np.testing.assert_array_equal(many[..., lane], accel)
-        np.testing.assert_array_equal(turn[..., lane], gyro)
+        np.testing.assert_array_equal(many.array[..., lane], accel)
+        np.testing.assert_array_equal(turn.array[..., lane], gyro)
 
 
 @pytest.mark.parametrize("block", BLOCKS)

@@ -12,9 +12,10 @@ from scipy.stats import chi2
 
 from estimators.blocks.imu import MEMORY, noise_model
 from estimators.core import strapdown
-from estimators.core.lanes import WIDTH, aligned
+from estimators.core.lanes import WIDTH
 from estimators.core.nav_errors import coefficients, nav_errors
 from estimators.core.propagate import Coupling, add_noise, make_covariance, make_covariances, propagate
+from estimators.core.tables import spread
 from estimators.core.update import innovation_covariance, update
 from estimators.methods.indirect_kf import SCALES, IndirectKf
 from estimators.methods.ins import Ins
@@ -215,12 +216,11 @@ def test_structured_propagation_is_phi_p_phi_t_plus_q(side_by_side):
     accel, gyro = np.vstack([m.T, zero]), np.vstack([zero, m.T])
     spans = np.array([0, 3, 3, 6])
     if side_by_side:
-        table, scratch = make_covariances(p)
-        tables = [aligned(18).reshape(6, 3, WIDTH) for _ in range(2)]
-        for t, values in zip(tables, (accel, gyro), strict=True):
-            t[:] = values[..., None]
-        propagate_once(table, scratch, Coupling(spans, *tables, keep), (0.7, 500.0, force, v_n), 0.01)
-        made = [table[..., lane] for lane in range(WIDTH)]
+        table, scratch = make_covariances([p])
+        propagate_once(
+            table, scratch, Coupling(spans, spread(accel), spread(gyro), keep), (0.7, 500.0, force, v_n), 0.01
+        )
+        made = [table.array[..., lane] for lane in range(WIDTH)]
     else:
         padded, scratch = make_covariance(p)
         propagate_once(padded, scratch, Coupling(spans, accel, gyro, keep), (0.7, 500.0, force, v_n), 0.01)

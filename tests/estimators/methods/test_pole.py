@@ -7,9 +7,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numba import njit
 from synthetic import LAT, H, sensor_log, weaving_flight
 
-from estimators.methods.body_axes import Axes, near_pole, turn_state, turned_angles
+from estimators.methods import body_axes
+from estimators.methods.body_axes import Axes, near_pole, turned_angles
 from estimators.methods.direct import DirectEkf, Rstekf
 from estimators.methods.direct_ukf import DirectUkf
 from estimators.methods.imm import ImmEkf
@@ -80,6 +82,11 @@ def test_sigmas_near_the_pole_are_those_of_the_quaternion_filter():
     scale = np.sqrt(np.einsum("kii->ki", kf.covariance[k]))
     apart = (ekf.covariance[k] - kf.covariance[k]) / (scale[:, :, None] * scale[:, None, :])
     assert len(k) > 2 and np.abs(apart).max() < 0.1
+
+
+@njit
+def turn_state(x, p, sign):
+    body_axes.turn_state(x, p, sign)
 
 
 def test_a_change_of_axes_maps_errors_as_differences_do():

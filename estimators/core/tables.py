@@ -1,0 +1,202 @@
+"""Arrays of lanes: in a kernel a `Table` is indexed like an array of floats, and gives `WIDTH` numbers side by side.
+
+A kernel that keeps to indices, slices of the first axis and ``shape`` is written once for both: for float arrays a filter, for
+tables `WIDTH` filters, each on its own recording. What differs from lane to lane is chosen by `select`, not by a branch.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import types
+from numba.core import cgutils
+from numba.core.imputils import impl_ret_borrowed
+from numba.extending import (
+    NativeValue,
+    intrinsic,
+    make_attribute_wrapper,
+    models,
+    overload,
+    overload_attribute,
+    overload_method,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+from numpy.typing import NDArray
+
+from estimators.core.lanes import WIDTH, aligned, as_lanes, load, store
+
+
+class Table:
+    """An array (..., `WIDTH`) of which a kernel sees the leading axes; ``array`` (aligned, contiguous) is it for Python."""
+
+    __slots__ = ("array",)
+
+    def __init__(self, array: NDArray[np.float64]) -> None:
+        self.array = array
+
+
+def zeros(*shape: int) -> Any:
+    """A table of zeros."""
+    return Table(aligned(int(np.prod(shape))).reshape(*shape, WIDTH))
+
+
+def spread(values: Any) -> Any:
+    """A table that has the same numbers in each lane."""
+    values = np.asarray(values, dtype=float)
+    table = zeros(*values.shape)
+    table.array[:] = values[..., None]
+    return table
+
+
+def side_by_side(values: Sequence[Any]) -> Any:
+    """A table of up to `WIDTH` arrays of one shape, one per lane; lanes without one repeat the last."""
+    first = np.asarray(values[0], dtype=float)
+    table = zeros(*first.shape)
+    if len(values) == 1:
+        table.array[:] = first[..., None]
+        return table
+    for lane in range(WIDTH):
+        table.array[..., lane] = values[min(lane, len(values) - 1)]
+    return table
+
+
+def combined(models: list[Any], shared: frozenset[str], fresh: frozenset[str]) -> Any:
+    """One model of tables from those of some filters, NamedTuples of arrays that may hold others; a lane for each.
+
+    Arrays of floats become tables, but for those in fields that are ``shared``, in all models alike. Of fields that are
+    ``fresh``, written before they are read, all lanes start as in the first model. Whatever is no array is the first's.
+    """
+    first = models[0]
+    if isinstance(first, np.ndarray) and first.dtype == np.float64:
+        return side_by_side(models)
+    if not isinstance(first, tuple):
+        return first
+    parts = []
+    for k, name in enumerate(getattr(first, "_fields", [""] * len(first))):
+        if name in shared:
+            parts.append(first[k])
+        else:
+            parts.append(combined([model[k] for model in (models[:1] if name in fresh else models)], shared, fresh))
+    return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)
+
+
+def of_lane(model: Any, lane: int) -> Any:
+    """The arrays of one filter, copied from a `combined` model."""
+    if isinstance(model, Table):
+        return np.ascontiguousarray(model.array[..., lane])
+    if not isinstance(model, tuple):
+        return model
+    parts = [of_lane(part, lane) for part in model]
+    return type(model)(*parts) if hasattr(model, "_fields") else tuple(parts)
+
+
+class TableType(types.Type):
+    """A `Table` of so many axes."""
+
+    def __init__(self, ndim: int) -> None:
+        self.ndim = ndim
+        self.data = types.Array(types.float64, ndim + 1, "C")
+        super().__init__(name=f"table{ndim}x{WIDTH}")
+
+
+@typeof_impl.register(Table)
+def _type_of(value: Any, context: Any) -> Any:
+    return TableType(value.array.ndim - 1)
+
+
+@register_model(TableType)
+class _TableModel(models.StructModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, [("data", kind.data)])
+
+
+make_attribute_wrapper(TableType, "data", "data")
+
+
+@unbox(TableType)
+def _unbox(kind: Any, value: Any, context: Any) -> Any:
+    data = context.pyapi.object_getattr_string(value, "array")
+    native = context.unbox(kind.data, data)
+    context.pyapi.decref(data)
+    return NativeValue(_wrapped(context.context, context.builder, kind, native.value), is_error=native.is_error)
+
+
+def _wrapped(context: Any, builder: Any, kind: Any, data: Any) -> Any:
+    table = cgutils.create_struct_proxy(kind)(context, builder)
+    table.data = data
+    return table._getvalue()
+
+
+@intrinsic
+def as_table(typing_context: Any, data: Any) -> Any:
+    """An array (..., `WIDTH`) as a table."""
+    kind = TableType(data.ndim - 1)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return impl_ret_borrowed(context, builder, kind, _wrapped(context, builder, kind, args[0]))
+
+    return kind(data), generate
+
+
+@overload_attribute(TableType, "shape")
+def _shape(table):
+    if table.ndim == 1:
+        return lambda table: (table.data.shape[0],)
+    if table.ndim == 2:
+        return lambda table: (table.data.shape[0], table.data.shape[1])
+    return lambda table: (table.data.shape[0], table.data.shape[1], table.data.shape[2])
+
+
+@overload_method(TableType, "reshape")
+def _reshape(table, shape):
+    if len(shape) == 2:
+        return lambda table, shape: as_table(table.data.reshape((shape[0], shape[1], WIDTH)))
+    return None
+
+
+@overload(operator.getitem)
+def _getitem(table, index):
+    if not isinstance(table, TableType):
+        return None
+    if isinstance(index, types.SliceType):
+        return lambda table, index: as_table(table.data[index])
+    count = len(index) if isinstance(index, types.BaseTuple) else 1
+    if count < table.ndim:
+        return lambda table, index: as_table(table.data[index])
+    if count == 1:
+        return lambda table, index: load(table.data, index)
+    if count == 2:
+        return lambda table, index: load(table.data, index[0] * table.data.shape[1] + index[1])
+    return lambda table, index: load(
+        table.data, (index[0] * table.data.shape[1] + index[1]) * table.data.shape[2] + index[2]
+    )
+
+
+@overload(operator.setitem)
+def _setitem(table, index, value):
+    if not isinstance(table, TableType):
+        return None
+    if isinstance(index, types.SliceType):
+
+        def fill(table, index, value):
+            part = as_table(table.data[index])
+            rows = part.data.size // WIDTH
+            for i in range(rows):
+                store(part.data, i, as_lanes(value))
+
+        return fill
+    count = len(index) if isinstance(index, types.BaseTuple) else 1
+    if count < table.ndim:
+        return None
+    if count == 1:
+        return lambda table, index, value: store(table.data, index, as_lanes(value))
+    if count == 2:
+        return lambda table, index, value: store(table.data, index[0] * table.data.shape[1] + index[1], as_lanes(value))
+    return lambda table, index, value: store(
+        table.data, (index[0] * table.data.shape[1] + index[1]) * table.data.shape[2] + index[2], as_lanes(value)
+    )
