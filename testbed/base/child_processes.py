@@ -11,7 +11,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import connection, get_context, parent_process
 
 THREADED = ("torch", "sklearn", "distributed")
 """Libraries whose own threads, once started, do not live on in a copy, which then waits for them."""
@@ -63,4 +63,16 @@ def _do_and_leave(tasks: Sequence[Callable[[], object]]) -> None:
     try:
         _do(tasks)
     except BaseException:
+        os._exit(1)
+
+
+def end_with_parent() -> None:
+    """Have this worker end as soon as its parent process does: one that is killed cannot end its workers itself."""
+    threading.Thread(target=_wait_for_parent, daemon=True).start()
+
+
+def _wait_for_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
         os._exit(1)

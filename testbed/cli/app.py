@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from testbed.cli import completion
+from testbed.cli.sensitivity import sensitivity_command
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -481,3 +482,6 @@ def new_command(
 
     path = new_file(kind, name, like=like)
     print(f"{path}; try it with: {command_for(kind, path, name)}")
+
+
+app.command("sensitivity")(sensitivity_command)
