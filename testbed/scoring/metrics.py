@@ -37,6 +37,7 @@ from testbed.data.records import (
 )
 from testbed.physics import earth, rotations
 from testbed.scenario.windows import Window
+from testbed.scoring.error_kernels import quadratic_forms
 from testbed.scoring.error_series import TIME_TOLERANCE, ErrorSeries, error_series, nearest_rows
 from testbed.scoring.error_series import truth_at as truth_at  # plug-ins of 0.1 have it from here
 from testbed.scoring.quantities import (
@@ -113,14 +114,14 @@ def consistency(
     out: dict[str, Consistency] = {}
     if solution.covariance is not None and solution.covariance_t is not None and len(series.t):
         keep = _at_rows(series.t, solution.covariance_t, solution.t)
-        t, covariance = solution.covariance_t[keep], solution.covariance[keep]
+        t, at = solution.covariance_t[keep], np.flatnonzero(keep)
         known = _state_errors(series, solution, errors, t) if len(t) else {}
         for name, test in NEES.items():
             rows = [k for k, s in enumerate(solution.states) if s in known and s.startswith(test.prefixes)]
             if rows:
                 error = np.column_stack([known[solution.states[k]] for k in rows])
-                block = covariance[:, np.array(rows)[:, None], rows]
-                out[name] = Consistency(t, _quadratic(error, block), np.full(len(t), float(len(rows))))
+                value = quadratic_forms(error, solution.covariance, at, np.array(rows))
+                out[name] = Consistency(t, value, np.full(len(t), float(len(rows))))
     return out | _innovation_tests(solution)
 
 
@@ -161,7 +162,8 @@ def _innovation_tests(solution: NavSolution) -> dict[str, Consistency]:
 def _nis(nu: Innovations) -> Consistency:
     """nu' S^-1 nu of each update; a channel that is NaN had no measurement and does not count."""
     used = np.isfinite(nu.value)
-    value = _quadratic(np.where(used, nu.value, 0.0), _only(nu.covariance, used))
+    each, channels = np.arange(len(used)), np.arange(used.shape[1])
+    value = quadratic_forms(np.where(used, nu.value, 0.0), _only(nu.covariance, used), each, channels)
     some = used.any(axis=1)
     return Consistency(nu.t[some], value[some], used.sum(axis=1).astype(float)[some])
 
@@ -247,18 +249,3 @@ def _only(covariance: Array, used: NDArray[np.bool_]) -> Array:
     """Covariance with the unused channels taken out: zero off the diagonal, one on it."""
     both = used[:, :, None] & used[:, None, :]
     return np.where(both, covariance, np.eye(used.shape[1]))
-
-
-def _quadratic(error: Array, covariance: Array) -> Array:
-    """(K,m), (K,m,m) to e' P^-1 e; infinite where P is singular, as an estimator that is certain of an error deserves."""
-    try:
-        solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:
-        out = np.full(len(error), np.inf)
-        for k in range(len(error)):
-            try:
-                out[k] = error[k] @ np.linalg.solve(covariance[k], error[k])
-            except np.linalg.LinAlgError:
-                continue
-        return out
-    return np.einsum("ij,ij->i", error, solved)

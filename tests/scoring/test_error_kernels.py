@@ -58,6 +58,32 @@ def test_the_errors_are_those_of_their_definitions(motions):
     assert np.linalg.norm(phi - exact, axis=1) == pytest.approx(0.0, abs=2e-15)
 
 
+def test_latitudes_that_are_close_have_the_radii_of_the_earth(motions):
+    """A block of one place takes sine and cosine from its first row's: a few roundings of a part in 2e-16."""
+    truth, estimate = motions
+    lat = 0.9 + np.cumsum(np.full(N, 1e-5))
+    truth, estimate = truth._replace(lat=lat), estimate._replace(lat=lat + 1e-5)
+    values, _ = error_kernels.error_rows(truth, estimate)
+    wanted = np.column_stack(earth.position_difference(*estimate[:3], *truth[:3]))
+    assert values[:, :3] == pytest.approx(wanted, rel=2e-15, abs=0.0)
+
+
+@pytest.mark.parametrize("size", [1, 3, 15])
+def test_quadratic_forms_are_those_of_the_solution(size):
+    """Against LAPACK: condition 1e3 at most, so a part in 1e12 is a thousand roundings. Any rows of any snapshots; a singular one."""
+    rng = np.random.default_rng(size)
+    half = rng.normal(size=(8, size + 2, size + 2))
+    covariance = half @ half.transpose(0, 2, 1) + 0.1 * np.eye(size + 2)
+    rows, at = rng.permutation(size + 2)[:size], np.array([7, 0, 3, 3])
+    error = rng.normal(size=(4, size))
+    block = covariance[at][:, rows[:, None], rows]
+    wanted = [e @ np.linalg.solve(p, e) for e, p in zip(error, block, strict=True)]
+    assert error_kernels.quadratic_forms(error, covariance, at, rows) == pytest.approx(wanted, rel=1e-12)
+    covariance[3] = 0.0
+    found = error_kernels.quadratic_forms(error, covariance, at, rows)
+    assert np.isfinite(found[:2]).all() and (found[2:] == np.inf).all()
+
+
 def test_every_quantity_is_the_registrys(motions):
     """The compiled columns stand in the order of `QUANTITIES`, and each is what its entry says of errors and rotation vector."""
     made = series(motions)
