@@ -7,7 +7,9 @@ Bar-Shalom, Li & Kirubarajan, 5.4.2. Rows are runs, columns are cells (estimator
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from math import comb
 
 import numpy as np
@@ -58,16 +60,33 @@ def bootstrap_means(values: Array, seed: int = 0) -> Array:
     finite = np.isfinite(values)
     filled, complete = np.where(finite, values, 0.0), bool(finite.all())
     weights = finite.astype(np.float64)
-    rng = stream(seed, 0, "bootstrap")
     out = np.empty((DRAWS, cells))
+    start = 0
+    for counts in _resamples(runs, seed):
+        with np.errstate(invalid="ignore"):
+            out[start : start + len(counts)] = counts @ filled / (runs if complete else counts @ weights)
+        start += len(counts)
+    return out
+
+
+def _resamples(runs: int, seed: int) -> Iterable[Array]:
+    """How often each run is in each of `DRAWS` resamples, in blocks (size, runs)."""
     block = max(1, min(DRAWS, _BLOCK_BYTES // (8 * runs)))
+    return _kept_resamples(runs, seed) if block == DRAWS else _drawn_resamples(runs, seed, block)
+
+
+@lru_cache(maxsize=2)
+def _kept_resamples(runs: int, seed: int) -> list[Array]:
+    """Of few runs: hundreds of effects of one batch ask for the same."""
+    return list(_drawn_resamples(runs, seed, DRAWS))
+
+
+def _drawn_resamples(runs: int, seed: int, block: int) -> Iterator[Array]:
+    rng = stream(seed, 0, "bootstrap")
     for start in range(0, DRAWS, block):
         size = min(block, DRAWS - start)
         drawn = rng.integers(0, runs, (size, runs)) + runs * np.arange(size)[:, None]
-        counts = np.bincount(drawn.ravel(), minlength=size * runs).reshape(size, runs).astype(np.float64)
-        with np.errstate(invalid="ignore"):
-            out[start : start + size] = counts @ filled / (runs if complete else counts @ weights)
-    return out
+        yield np.bincount(drawn.ravel(), minlength=size * runs).reshape(size, runs).astype(np.float64)
 
 
 def holm(p_values: Array) -> Array:
