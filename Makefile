@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-EXTRAS := dev,formats,cluster,learn,tuning,peers
+EXTRAS := dev,formats,cluster,learn,tuning,sensitivity,peers
 STAMP := $(VENV)/.installed
 
 .PHONY: demo test lint bench reports setup clean

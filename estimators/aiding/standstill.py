@@ -28,7 +28,7 @@ def stops(log: SensorLog, window_s: float, pass_rate: float) -> Array:
     An IMU without vibration cannot tell a steady straight course from standing, so that a window with an odometer's sample
     or a fix that moves is none.
     """
-    from scipy.stats import chi2
+    from scipy.special import gammaincinv
 
     spec, initial, std = log.imu.spec, log.initial, np.asarray(log.initial.std, dtype=float)
     dt = (log.imu.t[-1] - initial.t) / len(log.imu.t)
@@ -45,7 +45,7 @@ def stops(log: SensorLog, window_s: float, pass_rate: float) -> Array:
         change[1:] += (np.diff(means[-1], axis=0) ** 2).sum(axis=1) / (2.0 * variance / width)
     passes = fraction("zero-velocity pass_rate", pass_rate)
     # Tilt hides a steady braking, but it does not last through two windows below the speed that other sensors see.
-    quiet = (square < chi2.ppf(passes, 6 * (width - 1))) & (change < chi2.ppf(passes, 6))
+    quiet = (square < 2.0 * gammaincinv(3.0 * (width - 1), passes)) & (change < 2.0 * gammaincinv(3.0, passes))
     gravity = float(earth.gravity(initial.lat, initial.h))
     force_std = mean_std(spec.accel, std[9:12], width * dt, gravity)
     rate_std = np.hypot(mean_std(spec.gyro, std[12:15], width * dt, 0.0), spec.gyro.g_sensitivity * gravity)

@@ -18,9 +18,9 @@ def threshold(rows: int, gate: float = 0.999) -> Array:
     At the default one good fix in a thousand is lost, about one in 200 s at 5 Hz, which costs nothing, and a fix off by six
     sigma in one channel of six is refused (quantile 22.5).
     """
-    from scipy.stats import chi2
+    from scipy.special import gammaincinv
 
-    return np.array([chi2.ppf(fraction("gate", gate), rows)])
+    return np.array([2.0 * gammaincinv(0.5 * rows, fraction("gate", gate))])
 
 
 @njit(cache=True, nogil=True)
@@ -52,9 +52,9 @@ def threshold_and_share(rows: int, one: float = 0.9999) -> Array:
 
     At the default one in 10,000 good measurements is lost, of ten satellites at 5 Hz one in 200 s.
     """
-    from scipy.stats import chi2
+    from scipy.special import gammaincinv
 
-    return np.array([chi2.ppf(fraction("gate-each", one), rows), 0.0])
+    return np.array([2.0 * gammaincinv(0.5 * rows, fraction("gate-each", one)), 0.0])
 
 
 def judge_each(memory, residual, s, r, h, p):

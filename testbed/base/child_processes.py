@@ -11,7 +11,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import connection, get_context, parent_process
 
 THREADED = ("torch", "sklearn", "distributed")
 """Libraries whose own threads, once started, do not live on in a copy, which then waits for them."""
@@ -32,35 +32,56 @@ def quietly() -> Iterator[None]:
 
 
 def share(tasks: Sequence[Callable[[], object]], processes: int) -> None:
-    """Do all tasks, dealt out to this process and copies of it; one after the other where it cannot be copied.
+    """Do all tasks in this process and copies of it, each taking the next that nobody has begun; give the longest first.
 
-    A task counts for what it leaves on the disk. What fails in a copy is done again here, so that its error is raised.
+    One after the other where it cannot be copied. A task counts for what it leaves on the disk. What fails in a copy is done
+    again here, so that its error is raised.
     """
-    if processes < 2 or len(tasks) < 2 or not can_fork():
-        _do(tasks)
+    processes = min(processes, len(tasks))
+    if processes < 2 or not can_fork():
+        for task in tasks:
+            task()
         return
-    hands = [tasks[k::processes] for k in range(min(processes, len(tasks)))]
+    context = get_context("fork")
+    begun, done = context.Value("i", processes), context.Array("b", len(tasks), lock=False)
+
+    def take(number: int) -> None:
+        while number < len(tasks):
+            tasks[number]()
+            done[number] = 1
+            with begun.get_lock():
+                number = begun.value
+                begun.value = number + 1
+
     with quietly():
-        copies = [get_context("fork").Process(target=_do_and_leave, args=(hand,)) for hand in hands[1:]]
+        copies = [context.Process(target=_or_leave, args=(take, k)) for k in range(1, processes)]
         for copy in copies:
             copy.start()
     try:
-        _do(hands[0])
+        take(0)
     finally:
         for copy in copies:
             copy.join()
-    for copy, hand in zip(copies, hands[1:], strict=True):
-        if copy.exitcode:
-            _do(hand)
+    for task, finished in zip(tasks, done, strict=True):
+        if not finished:
+            task()
 
 
-def _do(tasks: Sequence[Callable[[], object]]) -> None:
-    for task in tasks:
-        task()
-
-
-def _do_and_leave(tasks: Sequence[Callable[[], object]]) -> None:
+def _or_leave(take: Callable[[int], object], first: int) -> None:
+    """What a copy does; of what goes wrong it has no say."""
     try:
-        _do(tasks)
+        take(first)
     except BaseException:
+        os._exit(1)
+
+
+def end_with_parent() -> None:
+    """Have this worker end as soon as its parent process does: one that is killed cannot end its workers itself."""
+    threading.Thread(target=_wait_for_parent, daemon=True).start()
+
+
+def _wait_for_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
         os._exit(1)

@@ -28,6 +28,7 @@ from testbed.cli.options import (
     load_plugins,
     loader,
 )
+from testbed.cli.sensitivity import sensitivity_command
 
 app = typer.Typer(
     name="testbed",
@@ -440,3 +441,6 @@ def new_command(
 
     path = new_file(kind, name, like=like)
     print(f"{path}; try it with: {command_for(kind, path, name)}")
+
+
+app.command("sensitivity")(sensitivity_command)

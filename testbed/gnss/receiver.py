@@ -75,10 +75,10 @@ class Fixes(NamedTuple):
 
 def solve(received: Received, false_alarm: float = 1e-3) -> Fixes:
     """Fixes of all epochs. ``false_alarm``: chance that the test rejects an epoch without a fault; 0: no test."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     dof = np.arange(1, 65)
-    threshold = np.concatenate([[np.inf], chi2.isf(false_alarm, dof) if false_alarm else np.full(len(dof), np.inf)])
+    threshold = np.concatenate([[np.inf], chdtri(dof, false_alarm) if false_alarm else np.full(len(dof), np.inf)])
     epochs, rows = len(received.first) - 1, len(received.sigma)
 
     def nothing(width: int) -> Array:

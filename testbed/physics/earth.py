@@ -35,7 +35,13 @@ _M = RATE**2 * A**2 * A * (1.0 - F) / GM
 @njit(cache=True)
 def principal_radii(lat):
     """Meridian and transverse radii of curvature (m) at latitude ``lat`` (rad). Groves eq. 2.105 and 2.106."""
-    w2 = 1.0 - E2 * np.sin(lat) ** 2
+    return radii_of_sine(np.sin(lat))
+
+
+@njit(cache=True)
+def radii_of_sine(sine):
+    """`principal_radii` at the latitude of this sine."""
+    w2 = 1.0 - E2 * sine**2
     rn = A / np.sqrt(w2)
     return rn * (1.0 - E2) / w2, rn
 

@@ -133,11 +133,12 @@ def envelopes(
 ) -> Figure:
     """Over the runs: 5 and 95 % of the errors and their mean; band: ±1.645 sigma, what the filter expects of those lines."""
     traces = []
-    for label, by_label in table.groupby("estimator", sort=False):
+    parts = dict(iter(table.groupby(["estimator", "quantity"], sort=False)))
+    for label in dict.fromkeys(table["estimator"]):
         for row, quantity in enumerate(quantities):
-            group, axis = thin(by_label[by_label["quantity"] == quantity], 300), panel_axis(row)
-            if group.empty:
+            if (label, quantity) not in parts:
                 continue
+            group, axis = thin(parts[label, quantity], 300), panel_axis(row)
             t, meta = group["time_s"], tag(str(label), colours)
             if group["sigma"].notna().any():
                 s = 1.645 * group["sigma"]

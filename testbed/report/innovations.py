@@ -18,6 +18,7 @@ from testbed.base.figure_style import COLOURS
 from testbed.report.labels import number, percent
 from testbed.report.results import Result
 from testbed.report.tables import Cell, Column, Table
+from testbed.scoring.statistics import normality_p
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,8 +65,6 @@ class Channel:
 
 def analyse(frame: pd.DataFrame, names: Sequence[str], outages: Spans = ()) -> list[Channel]:
     """Test the shown channels of one filter's innovations (``time_s``, ``nu_k``, ``s_k``); empty where there are too few."""
-    from scipy.stats import normaltest
-
     t = frame["time_s"].to_numpy(dtype=float)
     fixed = ~np.any([(t >= a) & (t <= b) for a, b in outages], axis=0) if len(outages) else np.ones(len(t), dtype=bool)
     found = []
@@ -85,7 +84,7 @@ def analyse(frame: pd.DataFrame, names: Sequence[str], outages: Spans = ()) -> l
                 s[good],
                 autocorrelation(t[good], scaled),
                 1.96 / float(np.sqrt(len(np.unique(t[good])))),
-                float(normaltest(scaled).pvalue),
+                normality_p(scaled),
             )
         )
     return found

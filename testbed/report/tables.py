@@ -222,11 +222,12 @@ def consistency(result: Result) -> Table | None:
             Column("inside", "%", group=group, title="Share of time inside the bounds"),
         ]
     rows = []
+    records = {(r["estimator"], r["quantity"]): r for r in frame.to_dict("records")}
     for label in result.estimators:
         cells: list[Cell] = []
         for quantity in quantities:
-            found = frame[(frame["estimator"] == label) & (frame["quantity"] == quantity)].to_dict("records")
-            r = found[0] if found else {}
+            found = records.get((label, quantity))
+            r = found or {}
             of = f"expect {r['dof']:.3g}, " if found and kinds[quantity] > 1 else ""
             bounds = f"{of}bounds {number(r['lower'])} to {number(r['upper'])}" if found else ""
             share = 100.0 * float(r.get("share_inside", math.nan))

@@ -116,4 +116,7 @@ def rounded(values: Any) -> list[float | None]:
     finite = np.isfinite(x)
     size = np.max(np.abs(x[finite])) if finite.any() else 1.0
     decimals = 0 if size == 0 else int(np.clip(4 - np.floor(np.log10(size)), 0, 12))
-    return [float(v) if ok else None for v, ok in zip(np.round(x, decimals), finite, strict=True)]
+    out: list[float | None] = np.round(x, decimals).tolist()
+    for k in np.flatnonzero(~finite):
+        out[k] = None
+    return out

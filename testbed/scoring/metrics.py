@@ -22,13 +22,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from testbed.data.records import (
     ACCEL_BIAS_STATES,
     GYRO_BIAS_STATES,
-    KNOWN,
     NAVIGATION_STATES,
     Array,
     GnssFixes,
@@ -39,15 +37,15 @@ from testbed.data.records import (
 )
 from testbed.physics import earth, rotations
 from testbed.scenario.windows import Window
+from testbed.scoring.error_kernels import quadratic_forms
+from testbed.scoring.error_series import TIME_TOLERANCE, ErrorSeries, error_series, nearest_rows
+from testbed.scoring.error_series import truth_at as truth_at  # plug-ins of 0.1 have it from here
 from testbed.scoring.quantities import (
     AGAINST_FIXES,
-    AXES,
     FIX_STATISTICS,
     NEES,
     NIS,
-    QUANTITIES,
     STATISTICS,
-    Quantity,
     scored_quantities,
 )
 
@@ -56,31 +54,6 @@ if TYPE_CHECKING:
 
 UNCOVERED = 0.01
 """Share of a flight that a solution may leave out at either end, or between two samples."""
-_TIME_TOLERANCE = 1e-9
-
-
-@dataclass(frozen=True)
-class ErrorSeries:
-    """Errors of a solution at its own times ``t`` (N,): ``values`` (N,9) as `AXES`, ``phi`` (N,3) rotation vector, rad.
-
-    ``scored`` are the quantities that the estimator answers for.
-    """
-
-    t: Array
-    values: Array
-    phi: Array
-    scored: tuple[Quantity, ...] = tuple(QUANTITIES.values())
-    known: tuple[str, ...] = KNOWN
-    """What the truth knows of the motion."""
-
-    def axes(self) -> list[int]:
-        """The columns of ``values`` that are scored."""
-        names = {q.name for q in self.scored}
-        return [k for k, name in enumerate(AXES) if name in names]
-
-    def quantities(self) -> Array:
-        """(N,len(scored)): one column for each."""
-        return np.column_stack([q.of(self.values, self.phi) for q in self.scored])
 
 
 @dataclass(frozen=True)
@@ -90,58 +63,6 @@ class Consistency:
     t: Array
     value: Array
     dof: Array
-
-
-def error_series(trajectory: Trajectory, solution: NavSolution) -> ErrorSeries:
-    """Errors at the solution's times that lie within the trajectory; truth is interpolated where the grids differ.
-
-    Of a truth that is known at its own times only, at these: there the solution is interpolated.
-    """
-    if trajectory.own_times:
-        return _errors_at_rows(trajectory, solution)
-    inside = (solution.t >= trajectory.t[0] - _TIME_TOLERANCE) & (solution.t <= trajectory.t[-1] + _TIME_TOLERANCE)
-    t = solution.t[inside]
-    lat, lon, h, v_n, q_nb = truth_at(trajectory, t)
-    ned = earth.position_difference(solution.lat[inside], solution.lon[inside], solution.h[inside], lat, lon, h)
-    q_est, velocity = solution.q_nb[inside], solution.v_n[inside] - v_n
-    return _series(t, np.column_stack(ned), velocity, q_est, q_nb, solution.states, trajectory.known)
-
-
-def _series(
-    t: Array, ned: Array, velocity: Array, q_est: Array, q_nb: Array, states: Sequence[str], known: tuple[str, ...]
-) -> ErrorSeries:
-    euler = rotations.wrap(rotations.quats_to_eulers(q_est) - rotations.quats_to_eulers(q_nb))
-    values = np.column_stack([ned, velocity, np.degrees(euler)])
-    return ErrorSeries(t, values, rotations.attitude_errors(q_est, q_nb), scored_quantities(states, known), known)
-
-
-def _errors_at_rows(trajectory: Trajectory, solution: NavSolution) -> ErrorSeries:
-    """Errors at the rows of the trajectory that lie within the solution, at the point that the rows describe."""
-    from testbed.physics.interpolate import state_at
-
-    rows = trajectory.t
-    inside = (rows >= solution.t[0] - _TIME_TOLERANCE) & (rows <= solution.t[-1] + _TIME_TOLERANCE)
-    t = rows[inside]
-    lat, lon, h, v_n, q_est = state_at(solution, t)  # type: ignore[arg-type]  # the five arrays that it reads
-    ned = np.column_stack(
-        earth.position_difference(lat, lon, h, trajectory.lat[inside], trajectory.lon[inside], trajectory.h[inside])
-    )
-    if any(trajectory.arm_b):
-        ned = ned + rotations.quats_to_matrices(q_est) @ np.array(trajectory.arm_b)
-    velocity, q_nb = v_n - trajectory.v_n[inside], trajectory.q_nb[inside]
-    return _series(t, ned, velocity, q_est, q_nb, solution.states, trajectory.known)
-
-
-def truth_at(trajectory: Trajectory, t: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """``lat, lon, h, v_n, q_nb`` of the truth at times ``t``: its own rows where they match, else interpolated."""
-    k = np.clip(np.searchsorted(trajectory.t, t - _TIME_TOLERANCE), 0, len(trajectory.t) - 1)
-    if len(t) == 0 or np.abs(trajectory.t[k] - t).max() <= _TIME_TOLERANCE:
-        if len(k) and k[-1] - k[0] == len(k) - 1:
-            k = slice(k[0], k[-1] + 1)  # type: ignore[assignment]
-        return trajectory.lat[k], trajectory.lon[k], trajectory.h[k], trajectory.v_n[k], trajectory.q_nb[k]
-    from testbed.physics.interpolate import state_at
-
-    return state_at(trajectory, np.clip(t, trajectory.t[0], trajectory.t[-1]))
 
 
 def score(
@@ -168,45 +89,19 @@ def score_rows(
     series: ErrorSeries, tests: dict[str, Consistency], windows: Sequence[Window]
 ) -> list[tuple[str, str, float]]:
     """Rows (window, metric, value) of errors and consistency tests."""
-    quantities = series.quantities()
     rows: list[tuple[str, str, float]] = []
+    names = [(statistic, q.name) for statistic in STATISTICS for q in series.scored]
     for window in windows:
-        spans = np.array([(a, b) for a, b in _spans(series.t, window) if b > a], dtype=np.int64)
-        if len(spans):
-            for statistic, row in zip(STATISTICS, _described(quantities, spans), strict=True):
-                rows += [
-                    (window.name, f"{statistic}_{q.name}", float(v)) for q, v in zip(series.scored, row, strict=True)
-                ]
+        if (found := series.statistics(_spans(series.t, window))) is not None:
+            rows += [
+                (window.name, f"{statistic}_{name}", value)
+                for (statistic, name), value in zip(names, found.ravel().tolist(), strict=True)
+            ]
         for name, test in tests.items():
             inside = np.concatenate([test.value[a:b] for a, b in _spans(test.t, window)])
             if len(inside):
                 rows.append((window.name, name, float(inside.mean())))
     return rows
-
-
-@njit(cache=True)
-def _described(values, spans):
-    """(4,n): root mean square, largest size, root mean square of the last rows, and mean of (N,n) over spans (M,2) of rows."""
-    n = values.shape[1]
-    out = np.zeros((4, n))
-    count = 0
-    for j in range(spans.shape[0]):
-        a, b = spans[j, 0], spans[j, 1]
-        count += b - a
-        for k in range(a, b):
-            for i in range(n):
-                x = values[k, i]
-                out[0, i] += x * x
-                out[3, i] += x
-                if abs(x) > out[1, i] or x != x:
-                    out[1, i] = abs(x)
-        for i in range(n):
-            out[2, i] += values[b - 1, i] ** 2
-    for i in range(n):
-        out[0, i] = np.sqrt(out[0, i] / count)
-        out[2, i] = np.sqrt(out[2, i] / spans.shape[0])
-        out[3, i] /= count
-    return out
 
 
 def consistency(
@@ -219,20 +114,20 @@ def consistency(
     out: dict[str, Consistency] = {}
     if solution.covariance is not None and solution.covariance_t is not None and len(series.t):
         keep = _at_rows(series.t, solution.covariance_t, solution.t)
-        t, covariance = solution.covariance_t[keep], solution.covariance[keep]
+        t, at = solution.covariance_t[keep], np.flatnonzero(keep)
         known = _state_errors(series, solution, errors, t) if len(t) else {}
         for name, test in NEES.items():
             rows = [k for k, s in enumerate(solution.states) if s in known and s.startswith(test.prefixes)]
             if rows:
                 error = np.column_stack([known[solution.states[k]] for k in rows])
-                block = covariance[:, np.array(rows)[:, None], rows]
-                out[name] = Consistency(t, _quadratic(error, block), np.full(len(t), float(len(rows))))
+                value = quadratic_forms(error, solution.covariance, at, np.array(rows))
+                out[name] = Consistency(t, value, np.full(len(t), float(len(rows))))
     return out | _innovation_tests(solution)
 
 
 def _at_rows(rows: Array, t: Array, grid: Array) -> NDArray[np.bool_]:
     """Which of the times ``t`` (K,) lie within ``rows``, and no further from one of them than a step of ``grid``."""
-    near = np.abs(rows[nearest_rows(rows, t)] - t) <= float(np.median(np.diff(grid))) + _TIME_TOLERANCE
+    near = np.abs(rows[nearest_rows(rows, t)] - t) <= float(np.median(np.diff(grid))) + TIME_TOLERANCE
     return (t >= rows[0]) & (t <= rows[-1]) & near
 
 
@@ -240,8 +135,8 @@ def _state_errors(
     series: ErrorSeries, solution: NavSolution, errors: SensorErrors | None, t: Array
 ) -> dict[str, Array]:
     """Errors (K,) of the states whose truth is known, at times ``t`` (K,)."""
-    k = nearest_rows(series.t, t)
-    found = dict(zip(NAVIGATION_STATES, np.column_stack([series.values[k, :6], series.phi[k]]).T, strict=True))
+    values, phi = series.at(nearest_rows(series.t, t))
+    found = dict(zip(NAVIGATION_STATES, np.column_stack([values[:, :6], phi]).T, strict=True))
     found = {state: error for state, error in found.items() if state.startswith(series.known)}
     if errors is None:
         return found
@@ -267,7 +162,8 @@ def _innovation_tests(solution: NavSolution) -> dict[str, Consistency]:
 def _nis(nu: Innovations) -> Consistency:
     """nu' S^-1 nu of each update; a channel that is NaN had no measurement and does not count."""
     used = np.isfinite(nu.value)
-    value = _quadratic(np.where(used, nu.value, 0.0), _only(nu.covariance, used))
+    each, channels = np.arange(len(used)), np.arange(used.shape[1])
+    value = quadratic_forms(np.where(used, nu.value, 0.0), _only(nu.covariance, used), each, channels)
     some = used.any(axis=1)
     return Consistency(nu.t[some], value[some], used.sum(axis=1).astype(float)[some])
 
@@ -306,14 +202,14 @@ def divergence(series: ErrorSeries, limit_m: float) -> str:
     """Why a solution counts as diverged, or an empty string: a value that is not finite, or position off by ``limit_m``."""
     if len(series.t) == 0:
         return "no sample within the flight"
+    if series.stays_within(limit_m):
+        return ""
     axes = series.axes()
     finite = np.isfinite(series.values[:, axes]).all(axis=1)
     if not finite.all():
         return f"not finite from {series.t[np.argmin(finite)]:.6g} s"
     far = np.linalg.norm(series.values[:, [k for k in axes if k < 3]], axis=1) > limit_m
-    if far.any():
-        return f"position off by more than {limit_m:g} m from {series.t[np.argmax(far)]:.6g} s"
-    return ""
+    return f"position off by more than {limit_m:g} m from {series.t[np.argmax(far)]:.6g} s" if far.any() else ""
 
 
 def coverage(solution: NavSolution, start: float, end: float, gaps: Sequence[tuple[float, float]] = ()) -> str:
@@ -337,17 +233,10 @@ def coverage(solution: NavSolution, start: float, end: float, gaps: Sequence[tup
     return ""
 
 
-def nearest_rows(grid: Array, t: Array) -> NDArray[np.intp]:
-    """Index of the grid time nearest to each ``t``."""
-    k = np.clip(np.searchsorted(grid, t), 1, max(1, len(grid) - 1))
-    k = np.minimum(k, len(grid) - 1)
-    return k - (t - grid[k - 1] < grid[k] - t)
-
-
 def _spans(t: Array, window: Window) -> list[tuple[int, int]]:
     """Row ranges of the times in each interval (start, end]."""
     return [
-        (int(np.searchsorted(t, a + _TIME_TOLERANCE, "right")), int(np.searchsorted(t, b + _TIME_TOLERANCE, "right")))
+        (int(np.searchsorted(t, a + TIME_TOLERANCE, "right")), int(np.searchsorted(t, b + TIME_TOLERANCE, "right")))
         for a, b in window.intervals
     ]
 
@@ -360,18 +249,3 @@ def _only(covariance: Array, used: NDArray[np.bool_]) -> Array:
     """Covariance with the unused channels taken out: zero off the diagonal, one on it."""
     both = used[:, :, None] & used[:, None, :]
     return np.where(both, covariance, np.eye(used.shape[1]))
-
-
-def _quadratic(error: Array, covariance: Array) -> Array:
-    """(K,m), (K,m,m) to e' P^-1 e; infinite where P is singular, as an estimator that is certain of an error deserves."""
-    try:
-        solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:
-        out = np.full(len(error), np.inf)
-        for k in range(len(error)):
-            try:
-                out[k] = error[k] @ np.linalg.solve(covariance[k], error[k])
-            except np.linalg.LinAlgError:
-                continue
-        return out
-    return np.einsum("ij,ij->i", error, solved)

@@ -7,7 +7,9 @@ Bar-Shalom, Li & Kirubarajan, 5.4.2. Rows are runs, columns are cells (estimator
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from math import comb
 
 import numpy as np
@@ -58,16 +60,33 @@ def bootstrap_means(values: Array, seed: int = 0) -> Array:
     finite = np.isfinite(values)
     filled, complete = np.where(finite, values, 0.0), bool(finite.all())
     weights = finite.astype(np.float64)
-    rng = stream(seed, 0, "bootstrap")
     out = np.empty((DRAWS, cells))
+    start = 0
+    for counts in _resamples(runs, seed):
+        with np.errstate(invalid="ignore"):
+            out[start : start + len(counts)] = counts @ filled / (runs if complete else counts @ weights)
+        start += len(counts)
+    return out
+
+
+def _resamples(runs: int, seed: int) -> Iterable[Array]:
+    """How often each run is in each of `DRAWS` resamples, in blocks (size, runs)."""
     block = max(1, min(DRAWS, _BLOCK_BYTES // (8 * runs)))
+    return _kept_resamples(runs, seed) if block == DRAWS else _drawn_resamples(runs, seed, block)
+
+
+@lru_cache(maxsize=2)
+def _kept_resamples(runs: int, seed: int) -> list[Array]:
+    """Of few runs: hundreds of effects of one batch ask for the same."""
+    return list(_drawn_resamples(runs, seed, DRAWS))
+
+
+def _drawn_resamples(runs: int, seed: int, block: int) -> Iterator[Array]:
+    rng = stream(seed, 0, "bootstrap")
     for start in range(0, DRAWS, block):
         size = min(block, DRAWS - start)
         drawn = rng.integers(0, runs, (size, runs)) + runs * np.arange(size)[:, None]
-        counts = np.bincount(drawn.ravel(), minlength=size * runs).reshape(size, runs).astype(np.float64)
-        with np.errstate(invalid="ignore"):
-            out[start : start + size] = counts @ filled / (runs if complete else counts @ weights)
-    return out
+        yield np.bincount(drawn.ravel(), minlength=size * runs).reshape(size, runs).astype(np.float64)
 
 
 def holm(p_values: Array) -> Array:
@@ -99,6 +118,33 @@ def difference_interval(a: Array, b: Array, paired: bool, seed: int = 0) -> tupl
         spread = bootstrap_means(a[:, None], seed) - bootstrap_means(b[:, None], seed + 1)
         low, high = expanded(spread, np.array([min(len(a), len(b))]))
     return float(low[0]), float(high[0])
+
+
+def normality_p(values: Array) -> float:
+    """p-value of D'Agostino and Pearson's test (Biometrika 60, 1973) that values (n,) are normal, by skewness and kurtosis.
+
+    Skewness as D'Agostino (Biometrika 57, 1970), kurtosis as Anscombe and Glynn (Biometrika 70, 1983); n from 20 on. As
+    `scipy.stats.normaltest`, whose import takes longer than the rest of a report.
+    """
+    n = len(values)
+    centred = values - values.mean()
+    variance = (centred**2).mean()
+    skewness, kurtosis = (centred**3).mean() / variance**1.5, (centred**4).mean() / variance**2
+
+    spread = 3.0 * (n * n + 27 * n - 70) * (n + 1) * (n + 3) / ((n - 2.0) * (n + 5) * (n + 7) * (n + 9))
+    w2 = np.sqrt(2.0 * (spread - 1.0)) - 1.0
+    scaled = skewness * np.sqrt((n + 1) * (n + 3) / (6.0 * (n - 2))) * np.sqrt(0.5 * (w2 - 1.0))
+    of_skewness = np.arcsinh(scaled) / np.sqrt(0.5 * np.log(w2))
+
+    x = kurtosis - 3.0 * (n - 1) / (n + 1)
+    x /= np.sqrt(24.0 * n * (n - 2) * (n - 3) / ((n + 1.0) ** 2 * (n + 3) * (n + 5)))
+    third = (
+        6.0 * (n * n - 5 * n + 2) / ((n + 7.0) * (n + 9)) * np.sqrt(6.0 * (n + 3) * (n + 5) / (n * (n - 2.0) * (n - 3)))
+    )
+    a = 6.0 + 8.0 / third * (2.0 / third + np.sqrt(1.0 + 4.0 / third**2))
+    root = np.cbrt((1.0 - 2.0 / a) / (1.0 + x * np.sqrt(2.0 / (a - 4.0))))
+    of_kurtosis = (1.0 - 2.0 / (9.0 * a) - root) / np.sqrt(2.0 / (9.0 * a))
+    return float(np.exp(-0.5 * (of_skewness**2 + of_kurtosis**2)))
 
 
 def chi_square_bounds(dof: Array) -> tuple[Array, Array]:

@@ -255,7 +255,7 @@ def write_shard(path: Path, log: SensorLog, trajectory: Trajectory, meta: dict[s
     import pyarrow as pa
 
     from testbed.data import specs
-    from testbed.scoring.metrics import truth_at
+    from testbed.scoring.error_series import truth_at
 
     if log.mag is None or len(log.mag.t) != len(log.imu.t) or np.abs(log.mag.t - log.imu.t).max() > 1e-6:
         raise InputError("a data set needs a magnetometer that samples with the IMU, at the same rate")

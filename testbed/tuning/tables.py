@@ -104,7 +104,7 @@ def _scores(
 def gnss_errors(recording: Recording) -> dict[str, float]:
     """RMSE of the fixes themselves against truth (without lever arm)."""
     from testbed.physics import earth
-    from testbed.scoring.metrics import truth_at
+    from testbed.scoring.error_series import truth_at
 
     gnss, truth = recording.log.gnss, recording.trajectory
     if gnss is None or len(gnss.t) == 0 or any(gnss.spec.lever_arm_b):

@@ -26,6 +26,7 @@ SHORTER = {
     "duration_s=21600.0": "duration_s=1800.0",
     "--cap 200": "--cap 2",
     "--runs 5": "--runs 2",
+    "--samples 64": "--samples 2 --trajectories 2 --runs 1",
     "--runs 30": "--runs 3",
     "--runs 40": "--runs 2",
     "dataset ahrs-lstm-2022": "dataset ahrs-lstm-2022 --profile smoke",

@@ -122,3 +122,12 @@ def test_column_store_returns_columns_of_rows_that_grew(tmp_path):
     assert np.array_equal(store.columns(1, 3), [[2.0, np.nan], [4.0, 5.0]], equal_nan=True)
     store.close()
     assert not list((tmp_path / ".scratch").iterdir())
+
+
+@pytest.mark.parametrize("n", [20, 50, 1000])
+def test_the_test_of_normality_is_scipys(n):
+    from scipy.stats import normaltest
+
+    rng = np.random.default_rng(n)
+    for values in (rng.normal(3.0, 2.0, n), rng.uniform(size=n), rng.standard_t(5, n), rng.gamma(20.0, size=n)):
+        assert statistics.normality_p(values) == pytest.approx(normaltest(values).pvalue, rel=1e-9)
