@@ -23,12 +23,14 @@ from estimators.learning.ahrs_unrolled import Flight, Unrolled, cut
 from estimators.learning.ahrs_weights import samples_per_step
 from testbed.base.errors import InputError
 
+LOST = 1.0
+"""rad²: a window whose attitude is off by 60 degrees begins anew at the next chunk."""
 OF_IMITATION = ("rounds", "block_weight", "teacher", "told_factor")
 """Settings without meaning here."""
 
 
 class EndToEnd(Training):
-    """``gradients.csv`` beside the learning curve has loss and gradient norm of every update."""
+    """``gradients.csv`` beside the learning curve has loss, gradient norm and lost windows of every update."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -90,8 +92,9 @@ class EndToEnd(Training):
             places += [(flight, first) for first in range(offset, flight.rows - rows, rows)]
         parts = np.array_split(rng.permutation(len(places)), -(-len(places) // self.settings.batch))
         for b, part in enumerate(parts):
-            windows = cut([places[i] for i in part], rows, rng)
-            yield b / len(parts), Unrolled(windows, self.every, self.chunk), rows // self.every
+            chosen = [places[i] for i in part]
+            flown = Unrolled(cut(chosen, rows, rng), chosen, self.every, self.chunk)
+            yield b / len(parts), flown, rows // self.every
 
     def _fly(self, epoch: int, flown: Unrolled, steps: int) -> None:
         """Windows from their start to their end, one update per chunk."""
@@ -106,9 +109,14 @@ class EndToEnd(Training):
             mean = torch.stack(losses).mean() / self.unit
             norm = self.step(mean)
             assert memory is not None
-            memory, answer = (memory[0].detach(), memory[1].detach()), answer.detach()
+            lost = ~(loss.detach().numpy() < LOST)
+            flown.restart(lost, np.random.default_rng((self.settings.seed, epoch + 1, first, 13)))
+            going = torch.as_tensor(~lost, device=self.device)[:, None]
+            memory = torch.where(going, memory[0].detach(), 0.0), torch.where(going, memory[1].detach(), 0.0)
+            answer = torch.where(going, answer.detach(), 0.0)
             row = {"update": self.updates, "epoch": epoch + 1, "time_s": first * self.settings.step_s}
-            self.gradients.append(row | {"loss": float(mean.detach()), "gradient_norm": norm})
+            row |= {"loss": float(mean.detach()), "gradient_norm": norm, "lost": int(lost.sum())}
+            self.gradients.append(row)
 
     def _write_gradients(self) -> None:
         path = self.folder / "gradients.csv"

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.learning.ahrs_lstm_kernels import INPUTS
-from estimators.learning.ahrs_weights import Weights, samples_per_step
+from estimators.learning.ahrs_weights import Weights, growth_of, samples_per_step
 from estimators.methods.ahrs_kf import AhrsKf, interval, line_of, prepare
 
 WIDTH = INPUTS + 72
@@ -69,7 +69,7 @@ def write_lesson(
             samples.accel, _gravity_b(flight, figures.gravity, reference_error), 1.0 / interval(log)
         )
         told = (teacher.told_factor * known) ** 2
-    learner = make_network_gain(weights.network, every)
+    learner = make_network_gain(weights.network, every, growth_of(weights))
     gain = make_taught_gain(learner, teacher.kf.figures(log), start[1].copy(), told, teacher_flies)
     flown = make_filter(samples, figures, start, gain, LessonRows(rows, every))
     walk(line_of(log), flown, len(rows) * every)

@@ -34,9 +34,11 @@ def device_of(name: str) -> torch.device:
 class GainNetwork(nn.Module):
     """90 inputs to the logarithm of what each of 72 elements of the gain is multiplied by; starts at zero."""
 
-    def __init__(self, layers: int, neurons: int, activation: str, centre: Tensor, unit: Tensor) -> None:
+    def __init__(
+        self, layers: int, neurons: int, activation: str, centre: Tensor, unit: Tensor, growth: float = LIMIT
+    ) -> None:
         super().__init__()
-        self.curved = activation == "sigmoid"
+        self.curved, self.growth = activation == "sigmoid", growth
         self.input = nn.Linear(INPUTS, neurons)
         self.lstm = nn.LSTM(neurons, neurons, layers, batch_first=True)
         self.head = nn.Linear(neurons, 72)
@@ -54,7 +56,7 @@ class GainNetwork(nn.Module):
         """Logarithm of the change (B,T,72) from inputs (B,T,90), and the memory afterwards."""
         x = self.input(torch.asinh((inputs - self.centre) / self.unit))
         x, memory = self.lstm(torch.sigmoid(x) if self.curved else x, memory)
-        return self.head(x).clamp(-LIMIT, LIMIT), memory
+        return self.head(x).clamp(-LIMIT, self.growth), memory
 
     def step(self, inputs: Tensor, memory: Memory | None = None) -> tuple[Tensor, Memory]:
         """The same for one step, (B,72) from (B,90): `nn.LSTM` takes twice the time of its cells for a sequence of one."""
@@ -69,7 +71,7 @@ class GainNetwork(nn.Module):
             x, cell = torch.lstm_cell(x, (memory[0][k], memory[1][k]), *w)
             cells.append((x, cell))
         after = torch.stack([h for h, _ in cells]), torch.stack([c for _, c in cells])
-        return self.head(x).clamp(-LIMIT, LIMIT), after
+        return self.head(x).clamp(-LIMIT, self.growth), after
 
 
 def distance(change: Tensor, inputs: Tensor, wanted: Tensor, correction_scale: Tensor) -> tuple[Tensor, Tensor]:

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from estimators.learning.ahrs_lstm_kernels import INPUTS
+from estimators.learning.ahrs_lstm_kernels import INPUTS, LIMIT
 from estimators.learning.ahrs_torch import GainNetwork, device_of
 from estimators.learning.ahrs_weights import ACTIVATIONS, STEP_S, Weights, assemble, solve_with
 from estimators.learning.networks.tensor_file import read_arrays, write_arrays
@@ -56,6 +56,8 @@ class Settings:
     block_weight: float = 0.1
     """Imitation: of the gain's own distance from the teacher's, beside that of its corrections; see `ahrs_torch.distance`."""
     gradient_limit: float = 1.0
+    largest_factor: float = float(np.exp(LIMIT))
+    """On an element of the gain. Above 2 the filter can be unstable: a scalar one has K h up to 1, and needs |1 - K h| < 1."""
     teacher: dict[str, float] = field(default_factory=dict)
     """Imitation: parameters of `ahrs-kf` in which the teacher differs from the filter; ``turn_speed_mps`` makes it adapt."""
     told_factor: float = 0.0
@@ -73,6 +75,10 @@ class Settings:
         for key in ("layers", "neurons", "epochs", "rounds", "batch"):
             if getattr(self, key) < 1:
                 raise InputError(f"training: {key} is {getattr(self, key)}, must be at least 1")
+        if not 1.0 <= self.largest_factor <= np.exp(LIMIT):
+            raise InputError(
+                f"training: largest_factor = {self.largest_factor!r}, must be within 1 to {np.exp(LIMIT):.0f}"
+            )
         if self.method not in METHODS:
             raise InputError(f"training: method = {self.method!r}, must be one of {METHODS}")
         if self.activation not in ACTIVATIONS or self.optimiser not in ("adam", "sgd"):
@@ -122,7 +128,8 @@ class Training:
         self.flights, self.validation = training, [(flight.log(), _truth(flight)) for flight in validation]
         torch.manual_seed(settings.seed)
         shape = (settings.layers, settings.neurons, settings.activation)
-        self.network = GainNetwork(*shape, torch.zeros(INPUTS), torch.ones(INPUTS)).to(self.device)
+        norm, growth = (torch.zeros(INPUTS), torch.ones(INPUTS)), float(np.log(settings.largest_factor))
+        self.network = GainNetwork(*shape, *norm, growth).to(self.device)
         kinds = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD}
         self.optimiser = kinds[settings.optimiser](self.network.parameters(), lr=settings.learning_rate)
         self.chunk = max(1, round(settings.chunk_s / settings.step_s))
@@ -227,6 +234,7 @@ class Training:
         return {
             "activation": self.settings.activation,
             "step_s": self.settings.step_s,
+            "growth": self.network.growth,
             "filter": asdict(self.kf),
             "training": asdict(self.settings),
             "epoch": epoch + 1,

@@ -24,11 +24,36 @@ ERRORS, COVARIANCE = 12, 144
 """What the tensor of zeros stands for: the errors, and the covariance's elements."""
 
 
+class Flight:
+    """A flight of a data set as windows are cut from it: what the filter knows of it beside the samples."""
+
+    def __init__(self, shard: Any, kf: AhrsKf, reference_error: NDArray[np.float64]) -> None:
+        self.shard, self.kf, self.rows = shard, kf, int(shard.rows)
+        self.log, self.error = shard.log(), reference_error
+        self.figures = kf.figures(self.log)
+        if self.log.mag is None or len(self.log.mag.t) != self.rows:
+            raise InputError("training: end-to-end needs a field sample with each IMU sample, and a flight has fewer")
+
+    def start(self, row: int, rng: np.random.Generator) -> tuple[NDArray[Any], NDArray[Any]]:
+        """State (13,) and covariance (12,12) as at the start of a flight in the air, with errors of its deviations, at ``row``."""
+        from testbed.physics.rotations import quat_multiply, rotvec_to_quat
+
+        initial = self.log.initial
+        phi = initial.std[6:9] * rng.standard_normal(3)
+        true = tuple(self.shard.window(row, 1)["q_nb"][0].astype(np.float64))
+        initial = replace(initial, q_nb=np.array(quat_multiply(rotvec_to_quat(tuple(phi)), true)))
+        return self.kf.start(replace(self.log, initial=initial))
+
+
+Place = tuple[Flight, int]
+"""A flight and the row after which a window of it begins."""
+
+
 class Unrolled:
     """Windows that fly on from step to step; `chunk` says where a new truncation of the gradient begins."""
 
-    def __init__(self, windows: Windows, every: int, steps: int) -> None:
-        self.windows, self.every, self.sample = windows, every, 0
+    def __init__(self, windows: Windows, places: Sequence[Place], every: int, steps: int) -> None:
+        self.windows, self.places, self.every, self.sample = windows, places, every, 0
         self.batch = len(windows.state)
         self.tape: Tape = make_tape(steps, self.batch, every)
         self.place = 0
@@ -37,6 +62,13 @@ class Unrolled:
         """Begin a chunk: gradients run back to here. Returns what stands for the errors, (B,156)."""
         self.place = 0
         return torch.zeros(self.batch, ERRORS + COVARIANCE, dtype=torch.float64, requires_grad=True)
+
+    def restart(self, lost: NDArray[np.bool_], rng: np.random.Generator) -> None:
+        """Windows that are lost begin anew where they are."""
+        for b in np.flatnonzero(lost):
+            flight, first = self.places[int(b)]
+            self.windows.state[b], self.windows.p[b] = flight.start(first + self.sample, rng)
+            self.windows.slow[b] = 0.0
 
     def step(self, errors: Tensor, answer: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One step of the network with its last ``answer`` (B,72): errors again, inputs (B,90), loss (B) in rad²."""
@@ -69,28 +101,7 @@ class _Step(torch.autograd.Function):
         return back, torch.from_numpy(by_answer.astype(np.float32)).to(ctx.device), None
 
 
-class Flight:
-    """A flight of a data set as windows are cut from it: what the filter knows of it beside the samples."""
-
-    def __init__(self, shard: Any, kf: AhrsKf, reference_error: NDArray[np.float64]) -> None:
-        self.shard, self.kf, self.rows = shard, kf, int(shard.rows)
-        self.log, self.error = shard.log(), reference_error
-        self.figures = kf.figures(self.log)
-        if self.log.mag is None or len(self.log.mag.t) != self.rows:
-            raise InputError("training: end-to-end needs a field sample with each IMU sample, and a flight has fewer")
-
-    def start(self, row: int, rng: np.random.Generator) -> tuple[NDArray[Any], NDArray[Any]]:
-        """State (13,) and covariance (12,12) as at the start of a flight in the air, with errors of its deviations, at ``row``."""
-        from testbed.physics.rotations import quat_multiply, rotvec_to_quat
-
-        initial = self.log.initial
-        phi = initial.std[6:9] * rng.standard_normal(3)
-        true = tuple(self.shard.window(row, 1)["q_nb"][0].astype(np.float64))
-        initial = replace(initial, q_nb=np.array(quat_multiply(rotvec_to_quat(tuple(phi)), true)))
-        return self.kf.start(replace(self.log, initial=initial))
-
-
-def cut(places: Sequence[tuple[Flight, int]], rows: int, rng: np.random.Generator) -> Windows:
+def cut(places: Sequence[Place], rows: int, rng: np.random.Generator) -> Windows:
     """Windows of so many rows; each begins after the row that its place names."""
     from testbed.physics.rotations import quat_to_matrix, quats_to_matrices, rotvec_to_quat
 

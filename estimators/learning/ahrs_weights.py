@@ -45,7 +45,10 @@ class Network(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """A stored network: the arrays, its step (s), the parameters of the filter that it corrects, and its history."""
+    """A stored network: the arrays, its step (s), the parameters of the filter that it corrects, and its history.
+
+    The metadata's ``growth`` is the largest logarithm of a change of the gain; weights of 0.1 have none.
+    """
 
     network: Network
     step_s: float
@@ -58,7 +61,8 @@ def solve_with(weights: Weights, log: SensorLog) -> NavSolution:
     from estimators.learning.ahrs_lstm_kernels import make_network_gain
 
     kf = AhrsKf(**weights.filter)
-    kept = kf.filter(log, make_network_gain(weights.network, samples_per_step(weights, log)))
+    gain = make_network_gain(weights.network, samples_per_step(weights, log), growth_of(weights))
+    kept = kf.filter(log, gain)
     solution = kf.solution(log, kept)
     assert solution.covariance_t is not None
     return replace(solution, extras={**solution.extras, "gain_change": (solution.covariance_t, kept.change)})
@@ -67,6 +71,13 @@ def solve_with(weights: Weights, log: SensorLog) -> NavSolution:
 def samples_per_step(weights: Weights, log: SensorLog) -> int:
     """IMU samples between two steps of the network."""
     return max(1, round(weights.step_s / interval(log)))
+
+
+def growth_of(weights: Weights) -> float:
+    """The largest logarithm of a change of the gain."""
+    from estimators.learning.ahrs_lstm_kernels import LIMIT
+
+    return float(weights.metadata.get("growth", LIMIT))
 
 
 @lru_cache(maxsize=4)
