@@ -2,8 +2,8 @@
 
 "AHRS with LSTM-corrected Kalman gain" (2022): 90 inputs (z 6, x 12, K 72), a linear layer, two LSTM layers of 200, a
 linear layer to the 72 elements of the gain. Here the last layer gives the logarithm of what each element is multiplied
-by, and starts at zero: the untrained network is `ahrs-kf` itself. Training: `estimators.learning.ahrs_training`; loop:
-`estimators.learning.ahrs_lstm_kernels`.
+by, and starts at zero: the untrained network is `ahrs-kf` itself. Training: `estimators.learning.ahrs_imitation` and
+`estimators.learning.ahrs_end_to_end`; loop: `estimators.learning.ahrs_lstm_kernels`.
 
 Read into the paper: its "activation" is that of the linear input layer (``sigmoid`` or ``linear``), the LSTM layers are
 ordinary ones. Departures: the network steps at 5 Hz, not at each sample of 50 Hz, and its inputs are compressed (asinh).
@@ -28,7 +28,8 @@ class AhrsLstm:
     """`ahrs-kf` with a learned correction of its gain. The filter's parameters are those that the weights were made for."""
 
     weights: str = ""
-    """A safetensors file; empty for the shipped one, ``untrained`` for a network that changes nothing."""
+    """A safetensors file; empty for the shipped one, ``end-to-end`` for the shipped one that learned from the attitude error
+    on a KF that errs as the paper's does, ``untrained`` for a network that changes nothing."""
     name: ClassVar[str] = "ahrs-lstm"
     sensors: ClassVar[tuple[str, ...]] = ("imu", "mag")
 
