@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 TRAINED = RESULTS / f"{SCENARIO}-end-to-end"
 OPTIMISERS = {"adam": 1e-3, "sgd": 0.1}
 """And their learning rates; the second is the paper's."""
-SEEDS, NOISE_SEEDS = 5, 10
+SEEDS, NOISE_SEEDS = 5, 5
 AXES = ("roll", "pitch")
 BASE = "paper's KF"
 
@@ -75,23 +75,35 @@ def rows_of_estimators(folders: dict[tuple[str, int], Path]) -> Iterator[tuple[s
 
 def mean_squares(folders: dict[tuple[str, int], Path]) -> dict[str, Array]:
     """Label to mean square errors (training seeds, noise seeds, windows, roll and pitch), degrees²."""
+    logs, truth = flown()
+    found: dict[str, list[Array]] = {}
+    for label, seed, estimator in rows_of_estimators(folders):
+        found.setdefault(label, []).append(squares_of(estimator, logs, truth))
+        print(label, seed, np.sqrt(found[label][-1].mean(0)[0]).round(3), flush=True)
+    return {label: np.array(values) for label, values in found.items()}
+
+
+def flown() -> tuple[list[Any], Array]:
+    """The logs of the scenario's flight with airspeed and GNSS, and true Euler angles (N,3) at their times."""
     from testbed import pipeline
-    from testbed.physics.rotations import quats_to_eulers, wrap
+    from testbed.physics.rotations import quats_to_eulers
     from testbed.scenario import load_scenario
     from testbed.scoring.metrics import truth_at
 
     scenario = load_scenario(SCENARIO, variant="speed")
     trajectory = pipeline.fly(scenario)
     logs = [pipeline.sense(scenario, trajectory, run=k)[0] for k in range(NOISE_SEEDS)]
+    return logs, quats_to_eulers(truth_at(trajectory, logs[0].imu.t)[4])
+
+
+def squares_of(estimator: Any, logs: Sequence[Any], truth: Array) -> Array:
+    """Mean square errors (noise seeds, windows, roll and pitch), degrees²."""
+    from testbed.physics.rotations import quats_to_eulers, wrap
+
     t = logs[0].imu.t
-    truth = quats_to_eulers(truth_at(trajectory, t)[4])
     spans = [np.ones(len(t), bool)] + [(t >= w.start) & (t <= w.end) for w in windows()]
-    found: dict[str, list[Any]] = {}
-    for label, seed, estimator in rows_of_estimators(folders):
-        errors = [np.degrees(wrap(quats_to_eulers(estimator.run(log).q_nb) - truth))[:, :2] for log in logs]
-        found.setdefault(label, []).append([[(e[span] ** 2).mean(0) for span in spans] for e in errors])
-        print(label, seed, np.sqrt(np.mean(found[label][-1], axis=0)[0]).round(3), flush=True)
-    return {label: np.array(values) for label, values in found.items()}
+    errors = [np.degrees(wrap(quats_to_eulers(estimator.run(log).q_nb) - truth))[:, :2] for log in logs]
+    return np.array([[(e[span] ** 2).mean(0) for span in spans] for e in errors])
 
 
 def windows() -> Sequence[Any]:

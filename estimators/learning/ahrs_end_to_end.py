@@ -45,7 +45,7 @@ class EndToEnd(Training):
         self.gradients: list[dict[str, float]] = []
 
     def prepare(self) -> tuple[dict[str, NDArray[np.float32]], dict[str, float]]:
-        """The untrained filter flies all windows of an epoch: scales of the inputs, and its mean square error."""
+        """The untrained filter flies every fourth window of an epoch: scales of the inputs, and its mean square error."""
         self.tell(f"end to end; settings of imitation have no meaning here: {', '.join(OF_IMITATION)}")
         seen, losses = [], []
         with torch.no_grad():
@@ -90,6 +90,8 @@ class EndToEnd(Training):
         for flight in self.cut_from:
             offset = int(rng.integers(0, min(rows, flight.rows - rows - 1) + 1))
             places += [(flight, first) for first in range(offset, flight.rows - rows, rows)]
+        if epoch < 0:
+            places = places[::4]
         parts = np.array_split(rng.permutation(len(places)), -(-len(places) // self.settings.batch))
         for b, part in enumerate(parts):
             chosen = [places[i] for i in part]

@@ -11,16 +11,12 @@ ordinary ones. Departures: the network steps at 5 Hz, not at each sample of 50 H
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from estimators.learning.ahrs_weights import SHIPPED, load_weights, solve_with
+from estimators.learning.ahrs_weights import load_weights, solve_with
 from testbed.data.records import NavSolution, SensorLog
-
-WEIGHTS_OF_0_1 = "97a2d62d6da0a19ee50d6f65b1b9e931f7982fd1631a86493c86386afbd85c80"
-"""SHA-256 of the weights that version 0.1 shipped."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +28,6 @@ class AhrsLstm:
     on a KF that errs as the paper's does, ``untrained`` for a network that changes nothing."""
     name: ClassVar[str] = "ahrs-lstm"
     sensors: ClassVar[tuple[str, ...]] = ("imu", "mag")
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What a run with these weights must tell."""
-        if self.weights or hashlib.sha256(SHIPPED.read_bytes()).hexdigest() != WEIGHTS_OF_0_1:
-            return ()
-        return (
-            "its shipped weights saw the flights of version 0.1, whose control surfaces moved too fast; its row is that of an "
-            "old network until new weights are made: testbed train ahrs-lstm-2022",
-        )
 
     def prepare(self, scenario: Any) -> None:
         """Read the weights before a batch begins. Raises InputError when they are missing, damaged or something else."""
