@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.learning.ahrs_lstm_kernels import INPUTS
-from estimators.learning.ahrs_weights import Weights, samples_per_step
+from estimators.learning.ahrs_weights import Weights, growth_of, samples_per_step
 from estimators.methods.ahrs_kf import AhrsKf, interval, line_of, prepare
 
 WIDTH = INPUTS + 72
@@ -69,7 +69,7 @@ def write_lesson(
             samples.accel, _gravity_b(flight, figures.gravity, reference_error), 1.0 / interval(log)
         )
         told = (teacher.told_factor * known) ** 2
-    learner = make_network_gain(weights.network, every)
+    learner = make_network_gain(weights.network, every, growth_of(weights))
     gain = make_taught_gain(learner, teacher.kf.figures(log), start[1].copy(), told, teacher_flies)
     flown = make_filter(samples, figures, start, gain, LessonRows(rows, every))
     walk(line_of(log), flown, len(rows) * every)
@@ -104,16 +104,21 @@ def true_acceleration(accel: NDArray[Any], gravity_b: NDArray[Any], rate: float)
 
 
 def scales(lessons: Sequence[Lesson]) -> dict[str, NDArray[np.float32]]:
-    """``centre`` and ``unit`` (90) of the inputs and ``correction`` (12), the rms of the teacher's corrections.
+    """``centre`` and ``unit`` (90) of the inputs and ``correction`` (12), the rms of the teacher's corrections."""
+    rows = np.vstack([lesson.read(0, lesson.rows)[lesson.rows // 50 :: 5] for lesson in lessons]).astype(np.float64)
+    inputs, wanted = rows[:, :INPUTS], rows[:, INPUTS:].reshape(-1, 6, 12)
+    correction = np.sqrt((np.einsum("nci,nc->ni", wanted, inputs[:, :6]) ** 2).mean(0))
+    correction = np.repeat(correction.reshape(-1, 3).max(1), 3) + 1e-12
+    return input_scales(inputs) | {"correction": correction.astype(np.float32)}
+
+
+def input_scales(inputs: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
+    """``centre`` and ``unit`` (90) from inputs (N,90) of flights.
 
     The unit is small, that of quiet flight: the lower quartile of what is left of the centre, the largest of three axes.
     """
-    rows = np.vstack([lesson.read(0, lesson.rows)[lesson.rows // 50 :: 5] for lesson in lessons]).astype(np.float64)
-    inputs, wanted = rows[:, :INPUTS], rows[:, INPUTS:].reshape(-1, 6, 12)
     centre = np.median(inputs, axis=0)
     unit = np.repeat(np.quantile(np.abs(inputs - centre), 0.25, axis=0).reshape(-1, 3).max(1), 3)
     spread = np.repeat(inputs.std(0).reshape(-1, 3).max(1), 3)
     unit = np.maximum(unit, 1e-3 * spread + 1e-12)
-    correction = np.sqrt((np.einsum("nci,nc->ni", wanted, inputs[:, :6]) ** 2).mean(0))
-    correction = np.repeat(correction.reshape(-1, 3).max(1), 3) + 1e-12
-    return {k: v.astype(np.float32) for k, v in {"centre": centre, "unit": unit, "correction": correction}.items()}
+    return {"centre": centre.astype(np.float32), "unit": unit.astype(np.float32)}

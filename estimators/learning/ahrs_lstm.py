@@ -2,8 +2,8 @@
 
 "AHRS with LSTM-corrected Kalman gain" (2022): 90 inputs (z 6, x 12, K 72), a linear layer, two LSTM layers of 200, a
 linear layer to the 72 elements of the gain. Here the last layer gives the logarithm of what each element is multiplied
-by, and starts at zero: the untrained network is `ahrs-kf` itself. Training: `estimators.learning.ahrs_training`; loop:
-`estimators.learning.ahrs_lstm_kernels`.
+by, and starts at zero: the untrained network is `ahrs-kf` itself. Training: `estimators.learning.ahrs_imitation` and
+`estimators.learning.ahrs_end_to_end`; loop: `estimators.learning.ahrs_lstm_kernels`.
 
 Read into the paper: its "activation" is that of the linear input layer (``sigmoid`` or ``linear``), the LSTM layers are
 ordinary ones. Departures: the network steps at 5 Hz, not at each sample of 50 Hz, and its inputs are compressed (asinh).
@@ -11,16 +11,12 @@ ordinary ones. Departures: the network steps at 5 Hz, not at each sample of 50 H
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from estimators.learning.ahrs_weights import SHIPPED, load_weights, solve_with
+from estimators.learning.ahrs_weights import load_weights, solve_with
 from testbed.data.records import NavSolution, SensorLog
-
-WEIGHTS_OF_0_1 = "97a2d62d6da0a19ee50d6f65b1b9e931f7982fd1631a86493c86386afbd85c80"
-"""SHA-256 of the weights that version 0.1 shipped."""
 
 
 @dataclass(frozen=True)
@@ -28,19 +24,10 @@ class AhrsLstm:
     """`ahrs-kf` with a learned correction of its gain. The filter's parameters are those that the weights were made for."""
 
     weights: str = ""
-    """A safetensors file; empty for the shipped one, ``untrained`` for a network that changes nothing."""
+    """A safetensors file; empty for the shipped one, ``end-to-end`` for the shipped one that learned from the attitude error
+    on a KF that errs as the paper's does, ``untrained`` for a network that changes nothing."""
     name: ClassVar[str] = "ahrs-lstm"
     sensors: ClassVar[tuple[str, ...]] = ("imu", "mag")
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What a run with these weights must tell."""
-        if self.weights or hashlib.sha256(SHIPPED.read_bytes()).hexdigest() != WEIGHTS_OF_0_1:
-            return ()
-        return (
-            "its shipped weights saw the flights of version 0.1, whose control surfaces moved too fast; its row is that of an "
-            "old network until new weights are made: testbed train ahrs-lstm-2022",
-        )
 
     def prepare(self, scenario: Any) -> None:
         """Read the weights before a batch begins. Raises InputError when they are missing, damaged or something else."""

@@ -34,7 +34,7 @@ Single = NDArray[np.float32]
 
 INPUTS = 90
 LIMIT = 5.0
-"""A gain changes by exp(5) = 148 times at most, in training and here alike."""
+"""A gain changes by exp(5) = 148 times at most, in training and here alike; a network may set a lower limit to its growth."""
 
 
 class NetworkGain(NamedTuple):
@@ -52,6 +52,8 @@ class NetworkGain(NamedTuple):
     """(72,) its last answer, overwritten."""
     every: int
     """Samples between two steps."""
+    growth: float
+    """The largest logarithm of a change."""
     change: Array
     """(1,) see `ahrs_kernels.OwnGain`."""
 
@@ -81,12 +83,19 @@ class LessonRows(NamedTuple):
     every: int
 
 
-def make_network_gain(network: tuple[Any, ...], every: int) -> NetworkGain:
+def make_network_gain(network: tuple[Any, ...], every: int, growth: float = LIMIT) -> NetworkGain:
     """A network that has seen nothing yet."""
     layers, width = len(network[5]), len(network[3])
     memory = np.zeros((layers, width), np.float32), np.zeros((layers, width), np.float32)
     return NetworkGain(
-        tuple(network), memory, work_space(width), np.zeros(INPUTS), np.zeros(72, np.float32), every, np.zeros(1)
+        tuple(network),
+        memory,
+        work_space(width),
+        np.zeros(INPUTS),
+        np.zeros(72, np.float32),
+        every,
+        growth,
+        np.zeros(1),
     )
 
 
@@ -176,12 +185,12 @@ def gather(z, x, state, k, share, inputs):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def multiply_gain(k, out):
+def multiply_gain(k, out, growth):
     """Apply the network's answer to the gain; returns the root mean square of the logarithm of the change."""
     total = 0.0
     for c in range(6):
         for i in range(12):
-            change = min(LIMIT, max(-LIMIT, np.float64(out[12 * c + i])))
+            change = min(growth, max(-LIMIT, np.float64(out[12 * c + i])))
             total += change * change
             k[c, i] *= np.exp(change)
     return np.sqrt(total / 72.0)
@@ -202,7 +211,7 @@ def ask_network(learner, model, k):
 
 def _correct_gain(gain, model, k):
     ask_network(gain, model, k)
-    gain.change[0] = multiply_gain(model.work.k, gain.out)
+    gain.change[0] = multiply_gain(model.work.k, gain.out, gain.growth)
 
 
 def _teach(gain, model, k):
@@ -223,7 +232,7 @@ def _teach(gain, model, k):
             if gain.flies:
                 model.work.k[c, i] = taught.k[c, i]
     if not gain.flies:
-        multiply_gain(model.work.k, gain.learner.out)
+        multiply_gain(model.work.k, gain.learner.out, gain.learner.growth)
 
 
 def _write_row(keep, model, k):

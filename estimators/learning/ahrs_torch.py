@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from estimators.learning.ahrs_lstm_kernels import INPUTS, LIMIT
+from testbed.base.errors import InputError
 
 Memory = tuple[Tensor, Tensor]
 """Output and cell of all LSTM layers, (L,B,H)."""
@@ -16,12 +17,28 @@ TINY = 1e-26
 """Square of a gain that counts as none."""
 
 
+def device_of(name: str) -> torch.device:
+    """The device of that name; ``auto`` is a GPU where torch finds one, else the CPU. Raises InputError for none."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        raise InputError(
+            f"training: device = {name!r}: torch has none such here ({str(error).splitlines()[0]})"
+        ) from None
+    return device
+
+
 class GainNetwork(nn.Module):
     """90 inputs to the logarithm of what each of 72 elements of the gain is multiplied by; starts at zero."""
 
-    def __init__(self, layers: int, neurons: int, activation: str, centre: Tensor, unit: Tensor) -> None:
+    def __init__(
+        self, layers: int, neurons: int, activation: str, centre: Tensor, unit: Tensor, growth: float = LIMIT
+    ) -> None:
         super().__init__()
-        self.curved = activation == "sigmoid"
+        self.curved, self.growth = activation == "sigmoid", growth
         self.input = nn.Linear(INPUTS, neurons)
         self.lstm = nn.LSTM(neurons, neurons, layers, batch_first=True)
         self.head = nn.Linear(neurons, 72)
@@ -39,7 +56,22 @@ class GainNetwork(nn.Module):
         """Logarithm of the change (B,T,72) from inputs (B,T,90), and the memory afterwards."""
         x = self.input(torch.asinh((inputs - self.centre) / self.unit))
         x, memory = self.lstm(torch.sigmoid(x) if self.curved else x, memory)
-        return self.head(x).clamp(-LIMIT, LIMIT), memory
+        return self.head(x).clamp(-LIMIT, self.growth), memory
+
+    def step(self, inputs: Tensor, memory: Memory | None = None) -> tuple[Tensor, Memory]:
+        """The same for one step, (B,72) from (B,90): `nn.LSTM` takes twice the time of its cells for a sequence of one."""
+        x = self.input(torch.asinh((inputs - self.centre) / self.unit))
+        x = torch.sigmoid(x) if self.curved else x
+        if memory is None:
+            zero = x.new_zeros(self.lstm.num_layers, *x.shape)
+            memory = zero, zero
+        cells = []
+        for k in range(self.lstm.num_layers):
+            w = (getattr(self.lstm, f"{name}_l{k}") for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"))
+            x, cell = torch.lstm_cell(x, (memory[0][k], memory[1][k]), *w)
+            cells.append((x, cell))
+        after = torch.stack([h for h, _ in cells]), torch.stack([c for _, c in cells])
+        return self.head(x).clamp(-LIMIT, self.growth), after
 
 
 def distance(change: Tensor, inputs: Tensor, wanted: Tensor, correction_scale: Tensor) -> tuple[Tensor, Tensor]:

@@ -23,7 +23,12 @@ from testbed.data.records import NavSolution, SensorLog
 
 Single = NDArray[np.float32]
 
-SHIPPED = Path(__file__).parent / "weights" / "ahrs-lstm.safetensors"
+FOLDER = Path(__file__).parent / "weights"
+SHIPPED = FOLDER / "ahrs-lstm.safetensors"
+BY_NAME = {"": SHIPPED, "end-to-end": FOLDER / "ahrs-lstm-end-to-end.safetensors"}
+"""What is shipped: the network that imitates an adaptive KF, and the one that learned from the attitude error."""
+COMMANDS = {"end-to-end": "testbed train ahrs-lstm-2022 --variant end-to-end"}
+"""How to make them, where it is not `testbed train ahrs-lstm-2022`."""
 UNTRAINED = "untrained"
 ACTIVATIONS = ("sigmoid", "linear")
 STEP_S = 0.2
@@ -45,7 +50,10 @@ class Network(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """A stored network: the arrays, its step (s), the parameters of the filter that it corrects, and its history."""
+    """A stored network: the arrays, its step (s), the parameters of the filter that it corrects, and its history.
+
+    The metadata's ``growth`` is the largest logarithm of a change of the gain; weights of 0.1 have none.
+    """
 
     network: Network
     step_s: float
@@ -58,7 +66,8 @@ def solve_with(weights: Weights, log: SensorLog) -> NavSolution:
     from estimators.learning.ahrs_lstm_kernels import make_network_gain
 
     kf = AhrsKf(**weights.filter)
-    kept = kf.filter(log, make_network_gain(weights.network, samples_per_step(weights, log)))
+    gain = make_network_gain(weights.network, samples_per_step(weights, log), growth_of(weights))
+    kept = kf.filter(log, gain)
     solution = kf.solution(log, kept)
     assert solution.covariance_t is not None
     return replace(solution, extras={**solution.extras, "gain_change": (solution.covariance_t, kept.change)})
@@ -69,14 +78,22 @@ def samples_per_step(weights: Weights, log: SensorLog) -> int:
     return max(1, round(weights.step_s / interval(log)))
 
 
+def growth_of(weights: Weights) -> float:
+    """The largest logarithm of a change of the gain."""
+    from estimators.learning.ahrs_lstm_kernels import LIMIT
+
+    return float(weights.metadata.get("growth", LIMIT))
+
+
 @lru_cache(maxsize=4)
 def load_weights(weights: str) -> Weights:
-    """Read a file of weights; "" is the shipped one. Raises InputError when it is missing or is something else."""
+    """Read a file of weights; "" and ``end-to-end`` are shipped. Raises InputError when it is missing or is something else."""
     if weights == UNTRAINED:
         return untrained_weights()
-    path = Path(weights) if weights else SHIPPED
+    path = BY_NAME.get(weights, Path(weights))
     if not path.is_file():
-        raise InputError(f"ahrs-lstm: {path}: no such file; make the weights with: testbed train ahrs-lstm-2022")
+        command = COMMANDS.get(weights, "testbed train ahrs-lstm-2022")
+        raise InputError(f"ahrs-lstm: {path}: no such file; make the weights with: {command}")
     try:
         arrays, texts = read_arrays(path, "a file of its weights")
         check_shapes(path, arrays, _shapes(arrays))

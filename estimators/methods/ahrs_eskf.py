@@ -5,7 +5,8 @@ stays bounded: its density falls with the square of the frequency. So the specif
 velocity, and the measurement is that this velocity is about zero (or a speed from airspeed or GNSS), which a white or
 first-order acceleration as in `ahrs-kf` does not say. Kernels: `estimators.methods.ahrs_eskf_kernels`. SI units, µT.
 
-No model of the Earth's field is needed: the field corrects the heading alone, where norm and dip are those of the start.
+No model of the Earth's field is needed: the field corrects the heading alone, where norm and dip are those of the start,
+unless ``whole_field`` says that its direction is known.
 """
 
 from __future__ import annotations
@@ -66,10 +67,16 @@ class AhrsEskf:
     """Of a magnetic heading: indoors the field turns by some 10° from place to place, and a hand changes place each second."""
     reject_field: bool = True
     """Whether a field of another norm or dip than that of the start is left out."""
+    whole_field: bool = False
+    """Whether the field corrects the tilt too: where its direction is known and iron is far, as in the air."""
     speed: str = ""
-    """What measures the velocity in place of zero: "airspeed" (along x, in the frame of steady air) or "gnss"."""
+    """What measures the velocity in place of zero: "airspeed" (along x, in gusts about a steady wind) or "gnss"."""
     slip_deg: float = 2.0
-    """Of the angle between the air's flow and the x axis: a small aircraft in light turbulence (1 m/s in 30 m/s)."""
+    """Of the angle between the air's flow and the x axis: what is left of it where an aircraft turns into the gusts."""
+    gust_mps: float = 1.5
+    """1 sigma of each component of the gusts: light turbulence above 2000 ft, 5 ft/s (MIL-F-8785C, figure 7)."""
+    gust_length_m: float = 533.0
+    """Over which they stay alike: 1750 ft, Dryden's scale there (MIL-F-8785C, section 3.7.2.1)."""
 
     name: ClassVar[str] = "ahrs-eskf"
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = {
@@ -81,6 +88,8 @@ class AhrsEskf:
         "bias_limit_dps": (0.01, 10.0, "log"),
         "heading_deg": (0.5, 100.0, "log"),
         "slip_deg": (0.1, 20.0, "log"),
+        "gust_mps": (0.01, 10.0, "log"),
+        "gust_length_m": (10.0, 5000.0, "log"),
     }
     """What a tuner may search: name to (low, high, scale of the axis)."""
 
@@ -91,8 +100,9 @@ class AhrsEskf:
                 raise InputError(f"{self.name}: {key} = {value!r}, must be a positive number")
         if self.speed not in SPEEDS:
             raise InputError(f"{self.name}: speed = {self.speed!r}; {nearest(str(self.speed), SPEEDS[1:])}")
-        if not isinstance(self.reject_field, bool):
-            raise InputError(f"{self.name}: reject_field = {self.reject_field!r}, must be true or false")
+        for key in ("reject_field", "whole_field"):
+            if not isinstance(getattr(self, key), bool):
+                raise InputError(f"{self.name}: {key} = {getattr(self, key)!r}, must be true or false")
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -109,7 +119,7 @@ class AhrsEskf:
         keep = empty_recording(n, stride)
         event_t, inputs = self.inputs(log)
         state, p = self.start(log)
-        model = HeadingFilter(inputs, self.settings(log), self.watch(), state, p, make_work(), keep)
+        model = HeadingFilter(inputs, self.settings(log), self.watch(), state, p, make_work(len(p)), keep)
         walk(make_timeline(t[0] - interval(log), t, event_t), model, n)
         return solution(log, keep)
 
@@ -145,7 +155,7 @@ class AhrsEskf:
 
         assert log.mag is not None
         dt, limit = interval(log), max(self.bias_limit_dps * DEG, float(log.initial.std[12:15].max()))
-        measured = self.speed != ""
+        measured, field = self.speed != "", float(np.linalg.norm(log.mag.spec.field_n))
         per_s = (
             float(np.median(np.diff(log.airspeed.t))) if self.speed == "airspeed" and len(log.airspeed.t) > 1 else 1.0
         )
@@ -161,12 +171,15 @@ class AhrsEskf:
             still_density=0.0 if measured else 0.01**2,
             heading_density=(self.heading_deg * DEG) ** 2,
             declination=log.mag.spec.declination,
+            direction=tuple(np.array(log.mag.spec.field_n) / field) if self.whole_field else (0.0, 0.0, 0.0),
             rest_rate=REST_RATE,
             rest_force=REST_FORCE,
             rest_time=math.inf if measured else REST_TIME_S,
             rest_weight=1.0 - math.exp(-dt / REST_AVERAGE_S),
             rest_bias=REST_BIAS**2,
             slip_density=(self.slip_deg * DEG) ** 2 / per_s,
+            gust_variance=self.gust_mps**2,
+            gust_length=self.gust_length_m,
             lever_arm=log.gnss.spec.lever_arm_b if self.speed == "gnss" and log.gnss is not None else (0.0, 0.0, 0.0),
         )
 
@@ -179,13 +192,14 @@ class AhrsEskf:
         return FieldWatch(share, DIP, NORM_AVERAGE_S, *times, np.zeros(10))
 
     def start(self, log: SensorLog) -> tuple[Array, Array]:
-        """State (9,) and covariance (8,8) in which the filter starts."""
+        """State (9,) and covariance (8,8) in which the filter starts; two more of each with an airspeed, the gusts."""
         initial = log.initial
         known = self.speed == "gnss"
         velocity = initial.v_n[:2] if known else np.zeros(2)
         sigma = initial.std[3:5] if known else np.full(2, UNKNOWN_MPS if self.speed else 2.0 * self.velocity_mps)
-        std = np.concatenate([initial.std[6:9], initial.std[12:15], sigma])
-        return np.concatenate([initial.q_nb, initial.gyro_bias, velocity]), np.diag(std**2)
+        gusts = np.full(2 if self.speed == "airspeed" else 0, self.gust_mps)
+        std = np.concatenate([initial.std[6:9], initial.std[12:15], sigma, gusts])
+        return np.concatenate([initial.q_nb, initial.gyro_bias, velocity, 0.0 * gusts]), np.diag(std**2)
 
 
 def solution(log: SensorLog, kept: AttitudeRecording) -> NavSolution:

@@ -1,7 +1,9 @@
 """Kernels of `ahrs-eskf`: attitude by inertial navigation of the horizontal velocity, which stays bounded.
 
 States: attitude error (3, in n, rad), gyro bias (3, in b, rad/s), horizontal velocity (2, m/s), each "true minus estimate";
-C_true = (1 + [phi x]) C. The covariance takes a step every `Settings.stride` samples. SI units, fields in µT.
+C_true = (1 + [phi x]) C. With an airspeed the velocity is that in the frame of the steady wind, and the gusts (2, m/s), in
+which the aircraft moves with its airspeed, are states too: a first-order process of Dryden's scale (MIL-F-8785C).
+The covariance takes a step every `Settings.stride` samples. SI units, fields in µT.
 
 Time line, scalar update and the hooks of the recording are those of `estimators.core`. State and step are not: the composed
 filter carries position and a vertical channel, in which an error of the accelerometers' scale of 1 % would grow without
@@ -32,10 +34,9 @@ from testbed.physics.rotations import (
 
 Array = NDArray[np.float64]
 
-N = 8
 FIELD, AIRSPEED, GROUND_VELOCITY = 0, 1, 2
 """Kinds of events."""
-FORCE, LEVERS, RATE, FIELD_SUM, FIELD_COUNT, SPAN, SINCE = 0, 3, 12, 13, 16, 17, 18
+FORCE, LEVERS, RATE, FIELD_SUM, FIELD_COUNT, SPAN, SINCE, SPEED = 0, 3, 12, 13, 16, 17, 18, 19
 """Places in ``Work.sums``: see there."""
 
 
@@ -58,6 +59,8 @@ class Settings(NamedTuple):
     """The same at rest."""
     heading_density: float  # rad² s
     declination: float  # rad
+    direction: tuple[float, float, float]
+    """Unit vector of the field in n where that corrects the tilt too; else zeros."""
     rest_rate: float  # rad/s
     rest_force: float  # m/s²
     rest_time: float  # s
@@ -67,6 +70,10 @@ class Settings(NamedTuple):
     """(rad/s)², variance of a bias that was seen at rest."""
     slip_density: float
     """rad² s of the angle between the air's flow and the x axis."""
+    gust_variance: float
+    """(m/s)² of a component of the gusts."""
+    gust_length: float
+    """m through which the gusts stay alike."""
     lever_arm: tuple[float, float, float]
     """From the IMU to the antenna, m, in b."""
 
@@ -87,16 +94,16 @@ class Work(NamedTuple):
     """Arrays that are overwritten in every step."""
 
     sums: Array
-    """(19,) since the last step of the covariance: specific force in n times dt (3), C times dt (9), square of the rate times
-    dt, field in n (3) and how many, time (s); time since the last corrections (s)."""
+    """(20,) since the last step of the covariance: specific force in n times dt (3), C times dt (9), square of the rate times
+    dt, field in n (3) and how many, time (s); time since the last corrections (s); the last airspeed (m/s)."""
     rest: Array
     """(8,) means of rate and specific force, time at rest, and whether (1) it is."""
-    x: Array  # (8,) correction
-    h: Array  # (3,8)
+    x: Array  # (8 or 10,) correction
+    h: Array  # (3,8 or 10)
     residual: Array  # (3,)
     r: Array  # (3,)
     scalars: Array  # (3,2)
-    scratch: Array  # (4,8)
+    scratch: Array  # (4,8 or 10)
     noted: Array
     """(5,) the last heading innovation, its variance, whether (1) it was used; the last velocity innovation's square and S."""
 
@@ -108,9 +115,9 @@ class HeadingFilter(NamedTuple):
     settings: Settings
     watch: FieldWatch
     state: Array
-    """(9,) q_nb, gyro bias, velocity north and east; overwritten."""
+    """(9 or 11,) q_nb, gyro bias, velocity north and east, and with an airspeed gusts north and east; overwritten."""
     p: Array
-    """(8,8), overwritten."""
+    """(8,8) or (10,10), overwritten."""
     work: Work
     keep: Any
 
@@ -128,9 +135,10 @@ class AttitudeRecording(NamedTuple):
     """(M,) 1 at rest."""
 
 
-def make_work() -> Work:
-    """Room for one filter."""
-    return Work(*(np.zeros(shape) for shape in (19, 8, N, (3, N), 3, 3, (3, 2), (4, N), 5)))
+def make_work(states: int = 8) -> Work:
+    """Room for one filter with so many error states."""
+    shapes = (20, 8, states, (3, states), 3, 3, (3, 2), (4, states), 5)
+    return Work(*(np.zeros(shape) for shape in shapes))
 
 
 def empty_recording(samples: int, stride: int) -> AttitudeRecording:
@@ -180,7 +188,7 @@ def correct(model, k, e):
             sums[FIELD_SUM + i] += m[i]
         sums[FIELD_COUNT] += 1.0
     else:
-        spread(model.p, model.settings, model.work)
+        spread(model.p, model.state, model.settings, model.work)
         use_speed(model, k, e)
 
 
@@ -189,7 +197,7 @@ def record(model, k):
     """End IMU sample ``k``: watch for rest; every `Settings.stride` samples carry the covariance and correct."""
     watch_rest(model.inputs, k, model.settings, model.work.rest)
     if (k + 1) % model.settings.stride == 0:
-        spread(model.p, model.settings, model.work)
+        spread(model.p, model.state, model.settings, model.work)
         use_pause(model.p, model.state, model.settings, model.work)
         use_heading(model)
         model.work.sums[SINCE] = 0.0
@@ -200,30 +208,32 @@ steps(HeadingFilter, begin, predict, correct, record)
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def spread(p, settings, work):
+def spread(p, state, settings, work):
     """P = Phi P Phi' + Q over the time that ``work.sums`` holds, which begin anew.
 
     phi' = phi - sum(C dt) db;  dv_N' = dv_N + f_D phi_E - f_E phi_D;  dv_E' = dv_E + f_N phi_D - f_D phi_N, f times dt.
     Where the velocity is measured as zero, its error is taken in a frame that turns with the heading, and phi_D falls out:
     a turn of a velocity is none of zero. Left in, it would be "seen" in whatever the carrier's own motion is.
     """
-    sums, t = work.sums, work.sums[SPAN]
+    sums, t, n = work.sums, work.sums[SPAN], len(p)
     f_n, f_e, f_d = sums[FORCE], sums[FORCE + 1], sums[FORCE + 2]
     if settings.velocity_density > 0.0:  # zero is zero in every frame: see above
         f_n = f_e = 0.0
-    for j in range(N):  # rows of Phi P: velocity first, which needs the attitude as it was
+    if n > 8:
+        carry_gusts(p, state, settings, sums[SPEED] * t)
+    for j in range(n):  # rows of Phi P: velocity first, which needs the attitude as it was
         p[6, j] += f_d * p[1, j] - f_e * p[2, j]
         p[7, j] += f_n * p[2, j] - f_d * p[0, j]
         for i in range(3):
             a = LEVERS + 3 * i
             p[i, j] -= sums[a] * p[3, j] + sums[a + 1] * p[4, j] + sums[a + 2] * p[5, j]
-    for j in range(N):
+    for j in range(n):
         p[j, 6] += f_d * p[j, 1] - f_e * p[j, 2]
         p[j, 7] += f_n * p[j, 2] - f_d * p[j, 0]
         for i in range(3):
             a = LEVERS + 3 * i
             p[j, i] -= sums[a] * p[j, 3] + sums[a + 1] * p[j, 4] + sums[a + 2] * p[j, 5]
-    for i in range(N):
+    for i in range(n):
         for j in range(i):
             p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
     turning = settings.gyro_density * t + settings.scale_density * sums[RATE]
@@ -236,6 +246,19 @@ def spread(p, settings, work):
     for i in range(FIELD_SUM):
         sums[i] = 0.0
     sums[SPAN] = 0.0
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def carry_gusts(p, state, settings, way):
+    """Gusts decay over the ``way`` (m) through the air, and others come."""
+    decay = np.exp(-way / settings.gust_length)
+    for i in range(8, 10):
+        state[1 + i] *= decay
+        for j in range(10):
+            p[i, j] *= decay
+        for j in range(10):
+            p[j, i] *= decay
+        p[i, i] += settings.gust_variance * (1.0 - decay * decay)
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -295,7 +318,7 @@ def add_correction(state, x):
     q = quat_normalize(q)
     for i in range(4):
         state[i] = q[i]
-    for i in range(5):
+    for i in range(len(x) - 3):
         state[4 + i] += x[3 + i]
 
 
@@ -317,12 +340,15 @@ def use_heading(model):
     slope = -m[2] / max(m[0] * m[0] + m[1] * m[1], 1e-12)
     h_n, h_e = slope * m[0], slope * m[1]
     scratch = model.work.scratch
-    for j in range(N):
+    for j in range(len(p)):
         scratch[0, j] = h_n * p[0, j] + h_e * p[1, j] + p[2, j]
     known = h_n * scratch[0, 0] + h_e * scratch[0, 1] + scratch[0, 2]
     r = settings.heading_density / sums[SINCE] * max(doubt, 1.0)
     noted[0], noted[1], noted[2] = residual, known + r, 0.0
-    if doubt > 0.0:
+    if doubt > 0.0 and settings.direction[2] != 0.0:
+        noted[2] = 1.0
+        use_direction(p, model.state, settings, model.work, m, r)
+    elif doubt > 0.0:
         gain = scratch[0, 2] / (known + r)
         noted[2] = 1.0
         turn_heading(p, scratch[0], gain, known + r)
@@ -335,10 +361,27 @@ def use_heading(model):
         sums[i] = 0.0
 
 
+@njit(cache=True, nogil=True, _nrt=False)
+def use_direction(p, state, settings, work, m, r):
+    """The field ``m`` (3, in n) points where the field of the place does, u = u_est + phi x u_est.
+
+    ``r`` (rad²) is the variance of the heading that it shows; the field turns by as much about any other axis.
+    """
+    size = np.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+    u, d, h = (m[0] / size, m[1] / size, m[2] / size), settings.direction, work.h
+    h[:] = 0.0
+    h[0, 1], h[0, 2] = u[2], -u[1]
+    h[1, 0], h[1, 2] = -u[2], u[0]
+    h[2, 0], h[2, 1] = u[1], -u[0]
+    for i in range(3):
+        work.residual[i], work.r[i] = d[i] - u[i], r * (d[0] * d[0] + d[1] * d[1])
+    apply(p, state, work, 3)
+
+
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def turn_heading(p, ph, gain, variance):
     """P = (1 - K h) P (1 - K h)' + K r K' for a gain on phi_D alone, from ``ph`` = P h' and the innovation's variance."""
-    for j in range(N):
+    for j in range(len(p)):
         if j != 2:
             p[2, j] -= gain * ph[j]
             p[j, 2] = p[2, j]
@@ -347,7 +390,7 @@ def turn_heading(p, ph, gain, variance):
 
 @inner
 def use_speed(model, k, e):
-    """Horizontal velocity from an airspeed along x, in the still air's frame, or from a receiver at its antenna."""
+    """Horizontal velocity from an airspeed along x in gusts, in the steady wind's frame, or from a receiver at its antenna."""
     inputs, settings, state, work = model.inputs, model.settings, model.state, model.work
     z, h, residual, r, gyro = inputs.z, work.h, work.residual, work.r, inputs.gyro
     c = quat_to_matrix((state[0], state[1], state[2], state[3]))
@@ -356,7 +399,9 @@ def use_speed(model, k, e):
     if inputs.kind[e] == AIRSPEED:
         speed = z[e, 0]
         x_n, x_e, x_d = speed * c[0][0], speed * c[1][0], speed * c[2][0]
-        residual[0], residual[1] = x_n - state[7], x_e - state[8]
+        residual[0], residual[1] = x_n + state[9] - state[7], x_e + state[10] - state[8]
+        h[0, 8], h[1, 9] = -1.0, -1.0
+        model.work.sums[SPEED] = speed
         h[0, 1], h[0, 2] = -x_d, x_e
         h[1, 0], h[1, 2] = x_d, -x_n
         r[0] = r[1] = inputs.r[e] + speed * speed * settings.slip_density

@@ -7,6 +7,7 @@ below them. Figures of a case are tables of columns; a column is compared within
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,6 +73,7 @@ AHRS_0_1 = {
     **{"gyro_scale": 0.0, "accel_noise_mps2": 0.0, "field_noise_ut": 0.0},
 }
 """The defaults of `ahrs-kf` in version 0.1, which had not the last three."""
+WEIGHTS_0_1 = {"weights": str(Path(__file__).parent / "recorded" / "ahrs-lstm-0.1.safetensors")}
 PATIENT = {"epochs": 3, "neurons": 4}
 NARX = {
     **{"settle_s": 8.0, "longest_outage_s": 7.0, "step_s": 0.4, "epochs": 3, "online_epochs": 2},
@@ -90,7 +92,7 @@ EVERYWHERE = (
     Case("imm-ekf", "imm-ekf", tolerance=EULER_TOLERANCE),
     Case("imm-rstekf", "imm-rstekf", tolerance=EULER_TOLERANCE),
     Case("ahrs-kf", "ahrs-kf", AHRS_0_1, **AHRS),
-    Case("ahrs-lstm", "ahrs-lstm", tolerance=LEARNED_TOLERANCE, **AHRS),
+    Case("ahrs-lstm", "ahrs-lstm", WEIGHTS_0_1, tolerance=LEARNED_TOLERANCE, **AHRS),
 )
 IN_OUTAGES = (
     Case("ann", "ann", PATIENT, NO_BIASES, tolerance=LEARNED_TOLERANCE),

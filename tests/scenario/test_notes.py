@@ -134,14 +134,3 @@ def test_tuning_without_the_extra_tuning_leaves_out_its_algorithm(monkeypatch, c
     assert capsys.readouterr().err.count("note: ") == 2
     with pytest.raises(InputError, match="needs the package cma"):
         _without_extras(TuneConfig(algorithms=["de", "cma-es"]), asked=True)
-
-
-def test_a_network_that_saw_other_flights_is_told():
-    """The weights of 0.1 are known by their hash; with others, or none, there is nothing to tell."""
-    old, none = (
-        {"estimators": [{"name": "ahrs-lstm", "params": p}], "sensors__mag": {}} for p in ({}, {"weights": "untrained"})
-    )
-    assert any(
-        "ahrs-lstm: its shipped weights saw the flights of version 0.1" in note for note in notes_of(quickstart(**old))
-    )
-    assert not any("weights" in note for note in notes_of(quickstart(**none)))

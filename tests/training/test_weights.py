@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from small_training import Flight, trained
 
-from estimators.learning.ahrs_weights import SHIPPED, load_weights
+from estimators.learning.ahrs_weights import BY_NAME, SHIPPED, load_weights
 from estimators.learning.networks.mlp import load_networks, new_mlp, save_networks
 from estimators.learning.networks.tensor_file import read_arrays, write_arrays
 from testbed.base.errors import InputError
+from testbed.scenario import load_scenario
 
 FILES = ("checkpoint.safetensors", "ahrs-lstm.safetensors", "learning-curve.csv")
 SCRIPT = Path(__file__).parents[1] / "run_training.py"
@@ -201,6 +202,12 @@ def test_a_damaged_network_of_the_cache_is_made_again(tmp_path):
         load_networks(path)
 
 
-def test_the_shipped_weights_are_whole():
-    assert load_weights("").network.w_lstm.shape[0] == 2
-    assert '"checksum":"' in SHIPPED.read_bytes()[:20_000].decode(errors="ignore")
+@pytest.mark.parametrize("name", BY_NAME)
+def test_the_shipped_weights_are_whole_and_say_how_they_were_made(name):
+    weights = load_weights(name)
+    assert weights.network.w_lstm.shape[0] == 2
+    assert '"checksum":"' in BY_NAME[name].read_bytes()[:20_000].decode(errors="ignore")
+    told = load_scenario("ahrs-lstm-2022", variant=name or None).extra["train"]
+    assert {key: weights.filter[key] for key in told["filter"]} == told["filter"]
+    made = weights.metadata["training"]
+    assert {key: made[key] for key in told.keys() - {"filter"}} == {k: v for k, v in told.items() if k != "filter"}
