@@ -12,6 +12,7 @@ ordinary ones. Departures: the network steps at 5 Hz, not at each sample of 50 H
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -31,6 +32,8 @@ class AhrsLstm:
     """A safetensors file; empty for the shipped one, ``untrained`` for a network that changes nothing."""
     name: ClassVar[str] = "ahrs-lstm"
     sensors: ClassVar[tuple[str, ...]] = ("imu", "mag")
+    needed_to_train: ClassVar[Mapping[str, str]] = {"torch": "learn"}
+    """Packages that training needs and running does not, and the extra of each."""
 
     @property
     def notes(self) -> tuple[str, ...]:
