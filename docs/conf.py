@@ -53,6 +53,7 @@ html_copy_source = False
 html_show_sourcelink = False
 pygments_style = "tango"
 
+from extensions.figures import returned_figures
 from sphinx_gallery.sorting import FileNameSortKey
 
 sphinx_gallery_conf = {
@@ -68,7 +69,8 @@ sphinx_gallery_conf = {
     "remove_config_comments": True,
     "show_signature": False,
     "download_all_examples": False,
-    "image_scrapers": ("matplotlib",),
+    "image_scrapers": ("matplotlib", returned_figures),
+    "capture_repr": ("_repr_html_",),
     "plot_gallery": True,
     "default_thumb_file": None,
     "show_api_usage": False,

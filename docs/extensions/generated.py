@@ -15,7 +15,17 @@ from sphinx.application import Sphinx
 
 HERE = Path(__file__).resolve().parents[1]
 FOLDER = HERE / "reference" / "generated"
-KEYED_FIRST = ("scenario", "flight", "recording", "sensors", "initial", "estimators", "monte_carlo", "windows", "claims")
+KEYED_FIRST = (
+    "scenario",
+    "flight",
+    "recording",
+    "sensors",
+    "initial",
+    "estimators",
+    "monte_carlo",
+    "windows",
+    "claims",
+)
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
@@ -165,7 +175,9 @@ def verbs() -> str:
 
     group: Any = typer.main.get_command(app.app)
     text = heading("Command line")
-    text += "Exit codes: 0 done, 1 the work failed, 2 bad usage or bad input. ``testbed VERB --help`` says the same.\n\n"
+    text += (
+        "Exit codes: 0 done, 1 the work failed, 2 bad usage or bad input. ``testbed VERB --help`` says the same.\n\n"
+    )
     text += _options(group.params) + "\n"
     for name, command in group.commands.items():
         arguments = [p for p in command.params if p.param_type_name == "argument"]
@@ -176,7 +188,9 @@ def verbs() -> str:
 
 
 def _metavar(parameter: Any) -> str:
-    return str(parameter.metavar or parameter.name.upper()) + ("..." if parameter.nargs == -1 else "").replace("......", "...")
+    return str(parameter.metavar or parameter.name.upper()) + ("..." if parameter.nargs == -1 else "").replace(
+        "......", "..."
+    )
 
 
 def _options(parameters: Iterable[Any]) -> str:
@@ -188,7 +202,9 @@ def _options(parameters: Iterable[Any]) -> str:
         names = " / ".join([*p.opts, *p.secondary_opts]) if option else _metavar(p)
         value = f" {p.metavar}" if option and p.metavar else ""
         default = p.default if option and p.default not in (None, False, ()) and not callable(p.default) else ""
-        rows.append((code(names + value), plain(p.help or "Show this message and exit."), code(default) if default else ""))
+        rows.append(
+            (code(names + value), plain(p.help or "Show this message and exit."), code(default) if default else "")
+        )
     return table(("option", "meaning", "default"), rows, "28 60 12") if rows else ""
 
 
@@ -208,14 +224,28 @@ def metrics() -> str:
         (code(name), plain(x.label), x.unit, x.group.lower(), ", ".join(code(s) for s in x.states))
         for name, x in q.QUANTITIES.items()
     ]
-    text += heading("Quantities", "-") + table(("name", "meaning", "unit", "group", "scored where the filter names"), rows)
-    rows_of = [(code(name), plain(words.format("...")), code(f"{name}_north_m")) for name, (words, _) in q.STATISTICS.items()]
+    text += heading("Quantities", "-") + table(
+        ("name", "meaning", "unit", "group", "scored where the filter names"), rows
+    )
+    rows_of = [
+        (code(name), plain(words.format("...")), code(f"{name}_north_m")) for name, (words, _) in q.STATISTICS.items()
+    ]
     text += heading("Statistics", "-") + table(("name", "meaning", "example"), rows_of)
-    against = [(code(f"{s}_gnss_{n}"), plain(q.metric_label(f"{s}_gnss_{n}")), q.unit(f"{s}_gnss_{n}")) for s in q.FIX_STATISTICS for n in q.AGAINST_FIXES]
-    text += heading("Against the fixes", "-") + "The solution compared with GNSS fixes in place of the truth, as a paper without truth does.\n\n"
+    against = [
+        (code(f"{s}_gnss_{n}"), plain(q.metric_label(f"{s}_gnss_{n}")), q.unit(f"{s}_gnss_{n}"))
+        for s in q.FIX_STATISTICS
+        for n in q.AGAINST_FIXES
+    ]
+    text += (
+        heading("Against the fixes", "-")
+        + "The solution compared with GNSS fixes in place of the truth, as a paper without truth does.\n\n"
+    )
     text += table(("name", "meaning", "unit"), against)
     text += heading("Consistency", "-")
-    tests = [(code(n), plain(t.label), "states that begin with " + ", ".join(code(p) for p in t.prefixes)) for n, t in q.NEES.items()]
+    tests = [
+        (code(n), plain(t.label), "states that begin with " + ", ".join(code(p) for p in t.prefixes))
+        for n, t in q.NEES.items()
+    ]
     tests.append((code(q.NIS), "Normalised innovation squared", "all aidings together; ``nis_AIDING`` of each"))
     text += table(("name", "meaning", "of"), tests)
     text += heading("Others", "-")
@@ -242,12 +272,20 @@ def estimators() -> str:
     text += "``testbed list estimators NAME`` says the same. Parameters are the constructor's keywords, ``params`` in a scenario.\n\n"
     for name in sorted(_entries()):
         kind = estimator_class(name)
-        text += f".. _estimator-{name}:\n\n" + heading(name, "-") + plain(first_paragraph(inspect.getdoc(kind))) + "\n\n"
-        used = kind.sensors if isinstance(getattr(kind, "sensors", None), tuple) else ()  # else it depends on the parameters
+        text += (
+            f".. _estimator-{name}:\n\n" + heading(name, "-") + plain(first_paragraph(inspect.getdoc(kind))) + "\n\n"
+        )
+        used = (
+            kind.sensors if isinstance(getattr(kind, "sensors", None), tuple) else ()
+        )  # else it depends on the parameters
         text += f"*Sensors:* {', '.join(code(s) for s in used)}. " if used else ""
         text += f"*Class:* {code(f'{kind.__module__}.{kind.__qualname__}')}\n\n"
         rows = [(code(p), code(d), plain(r), plain(m)) for p, d, r, m in describe_parameters(name)]
-        text += table(("parameter", "default", "range of a search", "meaning"), rows, "22 14 18 46") if rows else "No parameters.\n\n"
+        text += (
+            table(("parameter", "default", "range of a search", "meaning"), rows, "22 14 18 46")
+            if rows
+            else "No parameters.\n\n"
+        )
     return text
 
 
@@ -264,10 +302,15 @@ def parts() -> str:
     for title, rows in Eskf.describe().items():
         text += heading(title, "-") + table(("name", "what it is"), [(code(n), plain(s)) for n, s in rows], "25 75")
     text += heading("States of the blocks", "-")
-    shown = [(code(n), ", ".join(code(s) for s in b.states) or "one per satellite", b.adds_to) for n, b in sorted(BLOCKS.items())]
+    shown = [
+        (code(n), ", ".join(code(s) for s in b.states) or "one per satellite", b.adds_to)
+        for n, b in sorted(BLOCKS.items())
+    ]
     text += table(("block", "names of its states", "adds to"), shown, "22 63 15")
     text += heading("Channels of the aidings", "-")
-    channels = [(code(n), a.sensor, plain(", ".join(a.channels)), ", ".join(a.needs)) for n, a in sorted(AIDINGS.items())]
+    channels = [
+        (code(n), a.sensor, plain(", ".join(a.channels)), ", ".join(a.needs)) for n, a in sorted(AIDINGS.items())
+    ]
     return text + table(("aiding", "sensor", "channels", "needs the block"), channels)
 
 
@@ -305,7 +348,9 @@ def formats() -> str:
 
     from testbed.formats.config import PARTS
 
-    text = heading("Formats of recordings") + "``testbed import FORMAT`` and ``[recording] format = ...`` read these.\n\n"
+    text = (
+        heading("Formats of recordings") + "``testbed import FORMAT`` and ``[recording] format = ...`` read these.\n\n"
+    )
     rows = []
     for name, files in PARTS.items():
         module = {"mcap": "rosbag"}.get(name, name)
@@ -362,14 +407,25 @@ def verdicts() -> str:
     for path in sorted((HERE.parent / "reports").glob("*/claims.csv")):
         with open(path, newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
+        if not rows:
+            continue
         scenario = path.parent / "scenario.toml"
         head = tomllib.loads(scenario.read_text(encoding="utf-8")).get("scenario", {}) if scenario.is_file() else {}
         text += heading(path.parent.name, "-") + plain(head.get("title", "")) + "\n\n"
         shown = [
-            (plain(r["text"]), r["paper_pct"] or "–", _pct(r["measured_pct"]), f"{_pct(r['ci_low'])} to {_pct(r['ci_high'])}", r["n"], f"**{r['verdict']}**")
+            (
+                plain(r["text"]),
+                r["paper_pct"] or "–",
+                _pct(r["measured_pct"]),
+                f"{_pct(r['ci_low'])} to {_pct(r['ci_high'])}",
+                r["n"],
+                f"**{r['verdict']}**",
+            )
             for r in rows
         ]
-        text += table(("claim", "stated %", "measured %", "95 % interval", "runs", "verdict"), shown, "40 10 12 16 8 14")
+        text += table(
+            ("claim", "stated %", "measured %", "95 % interval", "runs", "verdict"), shown, "40 10 12 16 8 14"
+        )
     return text
 
 
