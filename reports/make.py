@@ -76,7 +76,7 @@ def main(names: list[str]) -> None:
 
 def make(name: str, variant: str | None, resume: bool = False) -> None:
     """Run one scenario in one variant and copy its report; ``resume`` keeps the runs that are stored."""
-    from testbed.cli.commands import progress_line
+    from testbed.cli.console import progress_line
     from testbed.montecarlo.runner import run
     from testbed.report import render
     from testbed.scenario import load_scenario, overlays_of

@@ -6,20 +6,28 @@ Exit codes: 0 done, 1 the work failed, 2 bad usage or bad input. A user's mistak
 from __future__ import annotations
 
 import os
-import re
 import shlex
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from testbed.cli import completion
-
-if TYPE_CHECKING:
-    from testbed.scenario import Scenario
+from testbed.cli.options import (
+    SCENARIO,
+    OutOption,
+    PluginOption,
+    ProfileOption,
+    ScenarioArgument,
+    SeedOption,
+    SetOption,
+    VariantOption,
+    load_plugins,
+    loader,
+)
 
 app = typer.Typer(
     name="testbed",
@@ -30,33 +38,6 @@ app = typer.Typer(
 )
 
 DEBUG = "--debug"
-_SCENARIO = typer.Argument(
-    metavar="SCENARIO", help="Path of a TOML file, or the name of a shipped one.", autocompletion=completion.scenarios
-)
-ScenarioArgument = Annotated[str, _SCENARIO]
-ProfileOption = Annotated[
-    str | None,
-    typer.Option(
-        "--profile", help="Overlay of the scenario, for example smoke or paper.", autocompletion=completion.profiles
-    ),
-]
-VariantOption = Annotated[
-    str | None, typer.Option("--variant", help="Variant of the scenario.", autocompletion=completion.variants)
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting, e.g. sensors.imu.rate_hz=200."),
-]
-PluginOption = Annotated[list[Path] | None, typer.Option("--plugin", help="Python file with your own estimators.")]
-SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed in place of the scenario's.")]
-_PATH_KEY = re.compile(r"recording\.dir|flight\.(?:trajectory|plan)|sensors\.\w+\.file|estimators\.\d+\.params_file")
-"""Settings that are paths: on the command line they start from the current folder, in a scenario file from its own."""
-OutOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--out", help="Folder for the results: new, empty, or of the same verb. What the bench did not write is kept."
-    ),
-]
 
 
 def _show_version(asked: bool) -> None:
@@ -120,32 +101,9 @@ def _failed(error: BaseException, words: Sequence[str]) -> int:
     return code
 
 
-def _loader(
-    scenario: str, profile: str | None, variant: str | None, settings: list[str] | None, seed: int | None = None
-) -> Callable[..., Scenario]:
-    """How this call reads its scenario: further overrides (of a sweep) stand above the call's own settings; and a reading."""
-    from testbed.scenario import load_scenario, parse_setting
-
-    overrides: dict[str, Any] = dict(parse_setting(text) for text in settings or [])
-    for key, value in overrides.items():
-        folder = key == "flight.aircraft" and "/" in str(value)
-        if isinstance(value, str) and (folder or _PATH_KEY.fullmatch(key)):
-            overrides[key] = str(Path(value).resolve())
-    if seed is not None:
-        overrides["monte_carlo.seed"] = seed
-    return lambda further, reading=None: load_scenario(scenario, profile, variant, {**overrides, **further}, reading)
-
-
-def _load_plugins(plugins: list[Path] | None) -> list[str]:
-    """Load them; the names of their estimators."""
-    from testbed.data.registry import load_plugin
-
-    return [name for path in plugins or [] for name in load_plugin(path)]
-
-
 @app.command("run")
 def run_command(
-    scenario: Annotated[str | None, _SCENARIO] = None,
+    scenario: Annotated[str | None, SCENARIO] = None,
     runs: Annotated[
         str | None, typer.Option(help="Number of Monte Carlo runs, or 'auto' to stop when the claims are settled.")
     ] = None,
@@ -193,15 +151,16 @@ def run_command(
     ] = None,
 ) -> None:
     """Fly, sense, estimate, score over many seeds; print the table and write the report."""
-    from testbed.cli import commands
+    from testbed.cli import listing
+    from testbed.cli import run as running
 
     if scenario is None:
-        commands.show("scenarios")
+        listing.show("scenarios")
         print("\nRun one with: testbed run NAME")
         return
-    offered = _load_plugins(plugin)
-    commands.run(
-        _loader(scenario, profile, variant, settings, seed),
+    offered = load_plugins(plugin)
+    running.run(
+        loader(scenario, profile, variant, settings, seed),
         out=out,
         runs=runs,
         jobs=jobs,
@@ -232,7 +191,7 @@ def fly_command(
     """Fly only: the trajectory as Parquet, CSV, KML and NaveGo-style .mat."""
     from testbed.cli import commands
 
-    commands.fly(_loader(scenario, profile, variant, settings, seed)({}), out)
+    commands.fly(loader(scenario, profile, variant, settings, seed)({}), out)
 
 
 @app.command("sense")
@@ -250,7 +209,7 @@ def sense_command(
     """Fly and record: the trajectory and one sensor log, or with --runs the logs of a Monte Carlo."""
     from testbed.cli import commands
 
-    commands.sense(_loader(scenario, profile, variant, settings, seed)({}), out, runs)
+    commands.sense(loader(scenario, profile, variant, settings, seed)({}), out, runs)
 
 
 @app.command("allan")
@@ -354,7 +313,7 @@ def features_command(
     """Rank a network's candidate inputs (MRMR) and measure the lags that they need (Lipschitz)."""
     from testbed.features.command import features
 
-    loaded = _loader(scenario, profile, variant, settings)({})
+    loaded = loader(scenario, profile, variant, settings)({})
     print(f"tables and plot: {features(loaded, out or Path('results') / f'{loaded.name}-features', estimator, inputs)}")
 
 
@@ -368,10 +327,10 @@ def dataset_command(
     settings: SetOption = None,
 ) -> None:
     """Fly and record training data for the networks of a scenario."""
-    from testbed.cli.commands import progress_line
+    from testbed.cli.console import progress_line
     from testbed.training.dataset import make_dataset
 
-    loaded = _loader(scenario, profile, variant, settings)({})
+    loaded = loader(scenario, profile, variant, settings)({})
     with progress_line("flights") as tell:
         print(f"data set: {make_dataset(loaded, out or Path('results') / f'{loaded.name}-dataset', flights, tell)}")
 
@@ -391,7 +350,7 @@ def train_command(
     """Train the networks of a scenario and store their weights."""
     from testbed.training.train import train
 
-    loaded = _loader(scenario, profile, variant, settings)({})
+    loaded = loader(scenario, profile, variant, settings)({})
     print(f"weights: {train(loaded, out or Path('results') / f'{loaded.name}-training', data, resume)}")
 
 
@@ -418,9 +377,9 @@ def tune_command(
     """Search the declared parameters of estimators; score the best on seeds that the search never saw."""
     from testbed.tuning.command import tune
 
-    _load_plugins(plugin)
+    load_plugins(plugin)
     tune(
-        _loader(scenario, profile, variant, settings)({}),
+        loader(scenario, profile, variant, settings)({}),
         out,
         algorithms=algorithms,
         iterations=iterations,
@@ -445,10 +404,10 @@ def list_command(
     plugin: PluginOption = None,
 ) -> None:
     """What the bench ships and finds."""
-    from testbed.cli import commands
+    from testbed.cli.listing import show
 
-    _load_plugins(plugin)
-    commands.show(what, name)
+    load_plugins(plugin)
+    show(what, name)
 
 
 @app.command("explain")

@@ -6,7 +6,7 @@ import textwrap
 
 from testbed.base.errors import InputError, nearest
 from testbed.base.schema import unwrap
-from testbed.cli.commands import print_columns
+from testbed.cli.listing import print_columns
 from testbed.scenario import Scenario
 from testbed.scenario.explain import Key, examples, find, keys
 from testbed.sensors.config import SensorTable

@@ -26,7 +26,8 @@ from testbed.flight import autopilot_kernels as ap
 from testbed.flight import manoeuvres
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.autopilot import gain_array
-from testbed.flight.config import AnyManoeuvre, FlightConfig, Land, Park, Straight
+from testbed.flight.config import FlightConfig
+from testbed.flight.manoeuvre_config import AnyManoeuvre, Land, Park, Straight
 from testbed.flight.script import FEWEST_SAMPLES, GENERATORS, MOST_SAMPLES, Guide, Script, check_script, script_duration
 from testbed.flight.simulator import FOOT, IN_THE_AIR, KELVIN_PER_RANKINE, ON_WHEELS, STATE, Simulator
 from testbed.flight.truth import Resampler

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 from testbed.base.errors import FlightError
 from testbed.flight import autopilot_kernels as ap
-from testbed.flight import config as cfg
+from testbed.flight import manoeuvre_config as cfg
 from testbed.flight.aircraft import Ground
 from testbed.flight.manoeuvres import Generator, Situation, bank_at, during, height_lead, local, until, wrap
 from testbed.flight.undercarriage import Undercarriage

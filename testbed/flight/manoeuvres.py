@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from testbed.base.errors import FlightError
 from testbed.flight import autopilot_kernels as ap
-from testbed.flight import config as cfg
+from testbed.flight import manoeuvre_config as cfg
 from testbed.flight.aircraft import Aircraft
 from testbed.flight.undercarriage import Undercarriage
 from testbed.physics.earth import G0

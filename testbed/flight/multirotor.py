@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.base.errors import FlightError
-from testbed.flight import config as cfg
+from testbed.flight import manoeuvre_config as cfg
 from testbed.flight import multirotor_kernels as mk
 from testbed.flight.aircraft import Multirotor
 from testbed.flight.autopilot_kernels import desk_views
+from testbed.flight.config import FlightConfig
 from testbed.flight.driver import GUST_S, SETTLE_MAX_S, STEP_HZ, WIND_RAMP_S, Pilot, Rates, Recording
 from testbed.flight.multirotor_guidance import GENERATORS, TOUCHED_M, RotorSituation, guide
 from testbed.flight.script import ABOUT_S, MOST_SAMPLES, Script, about, check_length
@@ -33,7 +34,7 @@ CRASH_M = 0.2
 """Over the height at which it stands: a flight that comes lower without landing has hit the ground."""
 
 
-def fly_multirotor(config: cfg.FlightConfig, aircraft: Multirotor, folder: Path, seed: int) -> Recording:
+def fly_multirotor(config: FlightConfig, aircraft: Multirotor, folder: Path, seed: int) -> Recording:
     """Fly the whole script. Raises FlightError that names manoeuvre and time."""
     check_multirotor(config, aircraft)
     pilot = MultirotorPilot(config, aircraft, Simulator(config, aircraft, folder, 1.0 / STEP_HZ, seed))
@@ -41,7 +42,7 @@ def fly_multirotor(config: cfg.FlightConfig, aircraft: Multirotor, folder: Path,
     return pilot.fly(config)
 
 
-def check_multirotor(config: cfg.FlightConfig, aircraft: Multirotor) -> None:
+def check_multirotor(config: FlightConfig, aircraft: Multirotor) -> None:
     """Refuse what a multirotor cannot do before it takes off."""
     name, limits, wind = config.aircraft, aircraft.limits, config.wind
     if config.initial.speed_mps:
@@ -93,7 +94,7 @@ def _check_speeds(place: str, m: cfg.AnyManoeuvre, name: str, limits: Any, speed
     return speeds[-1]
 
 
-def _expected_duration(config: cfg.FlightConfig, aircraft: Multirotor) -> float:
+def _expected_duration(config: FlightConfig, aircraft: Multirotor) -> float:
     """About how long the script takes, s."""
     total, speed, place = 0.0, aircraft.autopilot.speed_nominal_mps, (0.0, 0.0)
     for m in config.manoeuvres:
@@ -111,7 +112,7 @@ def _expected_duration(config: cfg.FlightConfig, aircraft: Multirotor) -> float:
 class MultirotorPilot(Pilot):
     """Cascade, guidance and recorder around one simulator."""
 
-    def __init__(self, config: cfg.FlightConfig, aircraft: Multirotor, simulator: Simulator) -> None:
+    def __init__(self, config: FlightConfig, aircraft: Multirotor, simulator: Simulator) -> None:
         self.rotor, self.simulator = aircraft, simulator
         self.rates = Rates(aircraft.autopilot.rate_hz)
         self.period = self.rates.period
@@ -137,7 +138,7 @@ class MultirotorPilot(Pilot):
         self.fast = self.rolling = False
         self._make_tick()
 
-    def settle(self, config: cfg.FlightConfig) -> None:
+    def settle(self, config: FlightConfig) -> None:
         """Stand, or hover, until nothing moves; then some seconds in turbulence where there is any."""
         self.target[mk.HEADING] = math.radians(config.initial.heading_deg)
         self.target[mk.SPEED] = self.rotor.autopilot.speed_nominal_mps
@@ -160,7 +161,7 @@ class MultirotorPilot(Pilot):
         self._look()
         self.simulator.set_wind(1.0)
 
-    def _hover(self, config: cfg.FlightConfig) -> None:
+    def _hover(self, config: FlightConfig) -> None:
         m, target = self.measured, self.target
         target[mk.STATE], target[mk.ALTITUDE] = mk.FLYING, config.initial.alt_m
         target[mk.CLIMB], target[mk.DESCENT] = self.rotor.limits.climb_max_mps, self.rotor.limits.descent_max_mps
@@ -177,7 +178,7 @@ class MultirotorPilot(Pilot):
                     f"{math.hypot(m[mk.V_NORTH], m[mk.V_EAST]):.1f} m/s and sinks {m[mk.V_DOWN]:.1f} m/s"
                 )
 
-    def rest(self, config: cfg.FlightConfig) -> cfg.AnyManoeuvre:
+    def rest(self, config: FlightConfig) -> cfg.AnyManoeuvre:
         """What a flight does that is longer than its script."""
         if isinstance(config.manoeuvres[-1], cfg.Park | cfg.Land):
             return cfg.Park(type="park", duration_s=200_000.0)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.base.errors import FlightError
-from testbed.flight import config as cfg
+from testbed.flight import manoeuvre_config as cfg
 from testbed.flight import multirotor_kernels as mk
 from testbed.flight.aircraft import Multirotor
 from testbed.flight.manoeuvres import Journey, during, local, until, wrap

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 from testbed.base.errors import FlightError
 from testbed.flight import autopilot_kernels as ap
-from testbed.flight import config as cfg
+from testbed.flight import manoeuvre_config as cfg
 from testbed.flight.manoeuvres import (
     ROLL_OUT_LAG_S,
     Generator,

@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 
 from testbed.base.errors import FlightError, InputError, TestbedError, tell_user
 from testbed.data.records import Phase
-from testbed.flight import config as cfg
 from testbed.flight import ground, manoeuvres, paths
+from testbed.flight import manoeuvre_config as cfg
 from testbed.flight.aircraft import Aircraft
-from testbed.flight.config import AnyManoeuvre, Approach, FlightConfig, Land, LineUp, Loiter, Park, TakeOff
+from testbed.flight.config import FlightConfig, InitialFlightState
+from testbed.flight.manoeuvre_config import AnyManoeuvre, Approach, Land, LineUp, Loiter, Park, TakeOff
 from testbed.physics.earth import G0
 from testbed.physics.earth import A as EARTH_RADIUS
 
@@ -58,7 +59,7 @@ def check_length(config: FlightConfig, about_s: float) -> None:
         )
 
 
-def expected_duration(config: cfg.FlightConfig) -> float:
+def expected_duration(config: FlightConfig) -> float:
     """About how long the script takes (s), from durations, and from speed, bank and distance where it ends by those."""
     total, speed = 0.0, config.initial.speed_mps
     place = (0.0, 0.0)
@@ -86,7 +87,7 @@ def expected_duration(config: cfg.FlightConfig) -> float:
     return total
 
 
-def about(point: cfg.Waypoint, start: cfg.InitialFlightState) -> tuple[float, float]:
+def about(point: cfg.Waypoint, start: InitialFlightState) -> tuple[float, float]:
     """A waypoint north and east of the start (m), on a sphere."""
     if point.north_m is not None and point.east_m is not None:
         return point.north_m, point.east_m
