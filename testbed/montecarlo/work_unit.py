@@ -139,7 +139,7 @@ class Bench:
             result.outcomes.append(outcome)
         result.put_in_order([entry.row for entry in scenario.estimators])
         if run == 0:
-            result.files = details.make(scenario, trajectory, log, collected)
+            result.files = details.make(scenario, trajectory, log, collected, errors)
         if heartbeat is not None:
             heartbeat(run, "", None)
         return result

@@ -106,6 +106,10 @@ class Result:
     errors: Mapping[str, pd.DataFrame] = field(default_factory=dict)
     innovations: Mapping[str, Mapping[str, pd.DataFrame]] = field(default_factory=dict)
     extras: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    nees: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    """Run 0's, by estimator: ``quantity``, ``time_s``, ``value``, ``dof``."""
+    biases: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    """Run 0's, by estimator, SI: ``time_s``, a column for each bias state, ``sigma_`` and ``true_`` of it."""
     satellites: pd.DataFrame = field(default_factory=pd.DataFrame)
     """Run 0's, a row per satellite and epoch; empty where the receiver was not simulated down to them."""
     findings: str = ""
@@ -270,7 +274,7 @@ def _load_details(store: Store) -> dict[str, Any]:
         found["truth"] = truth
     if (satellites := optional_part(store, "details/satellites.parquet", _of_satellites)) is not None:
         found["satellites"] = satellites
-    for kind in ("errors", "innovations", "extras"):
+    for kind in ("errors", "innovations", "extras", "nees", "biases"):
         names = {label: f"details/{kind}-{slug}.parquet" for label, slug in info.get("estimators", {}).items()}
         tables = {label: optional_part(store, name, _over_time) for label, name in names.items()}
         found[kind] = {label: table for label, table in tables.items() if table is not None}
