@@ -78,7 +78,7 @@ def _of_sweep(folder: Path, metric: str | None, window: str | None, log: str | N
 def _of_log(folder: Path, size: str) -> Figure:
     import matplotlib
 
-    from testbed.base.figure_style import PAGE_WIDTH, STYLE
+    from testbed.base.figure_style import PAGE_WIDTH, STYLE, logarithmic
     from testbed.cli.commands import own_log
     from testbed.report.single import parse_size
     from testbed.sensors.allan import figure
@@ -88,4 +88,8 @@ def _of_log(folder: Path, size: str) -> Figure:
         raise InputError(f"{folder}: holds no log; testbed allan reads a table of your own")
     width, height = parse_size(size) if size != "column" else (PAGE_WIDTH, None)  # two triads side by side
     with matplotlib.rc_context(STYLE):
-        return figure(log, width, height or 0.42 * width)
+        drawn = figure(log, width, height or 0.42 * width)
+        for axes in drawn.axes:
+            logarithmic(axes, "x")
+            logarithmic(axes, "y")
+    return drawn

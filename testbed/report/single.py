@@ -31,7 +31,7 @@ DEG_PER_H = np.degrees(1.0) * 3600.0
 BIAS_UNITS = {"accel": (1e3 / G0, "mg"), "gyro": (DEG_PER_H, "°/h")}
 SHARES = {0.5: "CEP", 0.95: "R95"}
 """Of horizontal errors: the radius within which this share of them lies."""
-LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW, LABEL = 0.62, 0.08, 0.40, 0.12, 0.17, 0.46
+LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW, LABEL = 0.62, 0.16, 0.40, 0.12, 0.17, 0.46
 """Margins of a figure, height of a row of its legend, and distance of the labels of its y axes, inches."""
 
 

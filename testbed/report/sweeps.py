@@ -5,7 +5,9 @@ Means over the runs with the 95 % interval that ``summary.csv`` of each point st
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -140,8 +142,21 @@ def save(drawn: Figure, path: Path) -> None:
 
     plain: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
     meta = plain.get(kind, {"CreationDate": None, "Creator": None, "Producer": None})
-    with matplotlib.rc_context(STYLE):
+    with matplotlib.rc_context(STYLE), _no_clock():
         write_with(path, partial(drawn.savefig, format=kind, dpi=300, metadata=meta))
+
+
+@contextmanager
+def _no_clock() -> Iterator[None]:
+    """The letters that a PDF embeds carry the time at which they were cut out, unless the environment says another."""
+    before = os.environ.get("SOURCE_DATE_EPOCH")
+    os.environ["SOURCE_DATE_EPOCH"] = "0"
+    try:
+        yield
+    finally:
+        os.environ.pop("SOURCE_DATE_EPOCH")
+        if before is not None:
+            os.environ["SOURCE_DATE_EPOCH"] = before
 
 
 def write(
