@@ -90,7 +90,7 @@ def sweep(
         own.claim(["sweep.csv", *FILES])
         table = _run_points(points, scenarios, folders, resume, announce, options)
         own.write("sweep.csv", csv_text(table, float_format="%.10g", lineterminator="\n").encode())
-        _write_shown(own, table, shown)
+        _write_shown(own, read_csv(out / "sweep.csv"), shown)  # of its digits, so that they can be made again
     return table
 
 
