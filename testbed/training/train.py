@@ -53,7 +53,7 @@ def train(
     settings = dict(scenario.extra.get("train", {}))
     filter_params, grid = settings.pop("filter", {}), settings.pop("sweep", {})
     wanted = dataset_config(scenario)
-    training = training[: max(1, wanted.flights - wanted.validation)]
+    training = training[: max(1, wanted.flights - wanted.validation - wanted.test)]
 
     def one(point: dict[str, Any], folder: Path) -> Path:
         try:
