@@ -52,21 +52,31 @@ class DatasetConfig(Table):
     """``[extra.dataset]``: intervals are uniform."""
 
     flights: int = Field(default=8, ge=2)
+    """How many."""
     validation: int = Field(default=1, ge=1)
     """How many of the flights are held back to choose the best weights: the last ones, before those of ``test``."""
     test: int = Field(default=0, ge=0)
     """How many of the flights, the last ones, no training ever sees."""
     duration_s: float = Field(default=1500.0, gt=30.0, le=100_000.0)
+    """Of each flight."""
     seed: int = Field(default=1, ge=0)
+    """Of all that is drawn: flight k is the same whatever their number."""
     payload_kg: Interval = [0.0, 2.0]
+    """Least and greatest payload."""
     wind_mps: float = Field(default=5.0, ge=0.0, le=50.0)
     """Largest steady wind, in a drawn direction."""
     turbulence: list[Literal["none", "light", "moderate", "severe"]] = ["none", "light", "moderate"]
+    """One of these is drawn for each flight."""
     speed_mps: Interval = [25.0, 36.0]
+    """Airspeed at the start, and what manoeuvres change it to."""
     alt_m: Interval = [800.0, 1500.0]
+    """Height at the start."""
     bank_deg: Interval = [15.0, 50.0]
+    """Bank of turns, to either side."""
     radius_m: Interval = [160.0, 400.0]
+    """Of loiters."""
     climb_rate_mps: Interval = [1.0, 2.5]
+    """Of climbs and descents."""
     manoeuvre_s: Annotated[list[Duration], Field(min_length=2, max_length=2), AfterValidator(_ascending)] = [
         20.0,
         400.0,
