@@ -364,7 +364,7 @@ def formats() -> str:
 
 def manoeuvres() -> str:
     """What a flight or a drive can be made of."""
-    from testbed.flight.config import manoeuvre_keys
+    from testbed.flight.manoeuvre_config import manoeuvre_keys
 
     rows = [(code(n), plain(about), plain(keys)) for n, (about, keys) in manoeuvre_keys().items()]
     text = heading("Manoeuvres") + "Each key is explained in :doc:`scenario-flight`.\n\n"
