@@ -27,6 +27,8 @@ COLOURS = [
     ("#5B5B5B", "#B5B5B5"),
 ]
 """(on white, on dark)"""
+DASHES: list[Any] = ["-", "--", ":", "-.", (0, (6, 1.5)), (0, (4, 1, 1, 1, 1, 1))]
+"""Tell lines apart where colours do not."""
 STYLE: Any = {
     "font.size": 8,
     "axes.spines.top": False,

@@ -10,27 +10,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
 from testbed.base.errors import InputError, nearest
-from testbed.base.figure_style import COLOURS, COLUMN_WIDTH, PAGE_WIDTH, STYLE, logarithmic, new_figure
-from testbed.data.records import ACCEL_BIAS_STATES, GYRO_BIAS_STATES
-from testbed.physics.earth import G0
-from testbed.report import figures
+from testbed.base.figure_style import COLUMN_WIDTH, PAGE_WIDTH, STYLE
+from testbed.report import figures, over_time
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
-from testbed.report.panels import legend, panels, shade
 from testbed.report.results import Result, load_result, thin
-from testbed.scoring.quantities import AXES, GROUPS, MAIN, quantity_label, unit
+from testbed.scoring.quantities import AXES, GROUPS, MAIN, quantity_label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DEG_PER_H = np.degrees(1.0) * 3600.0
-BIAS_UNITS = {"accel": (1e3 / G0, "mg"), "gyro": (DEG_PER_H, "°/h")}
-SHARES = {0.5: "CEP", 0.95: "R95"}
-"""Of horizontal errors: the radius within which this share of them lies."""
 LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW, LABEL = 0.62, 0.16, 0.40, 0.12, 0.17, 0.46
 """Margins of a figure, height of a row of its legend, and distance of the labels of its y axes, inches."""
 
@@ -120,6 +112,11 @@ def _chosen(result: Result, wanted: Wanted, table: Any = None) -> list[str]:
     return found
 
 
+def _best(result: Result, labels: Sequence[str]) -> str:
+    """The one that the headline names, where it is among them."""
+    return next((label for label in labels if label == headline(result).winner), labels[0])
+
+
 def _axes_of(wanted: Wanted, frames: Sequence[pd.DataFrame]) -> list[str]:
     """The signed errors that are meant: a group (position, velocity, attitude), one axis, or the first group with values."""
     groups = {name.lower(): axes for name, axes in GROUPS.items()}
@@ -134,7 +131,7 @@ def _axes_of(wanted: Wanted, frames: Sequence[pd.DataFrame]) -> list[str]:
 def errors(result: Result, wanted: Wanted) -> Figure:
     """Errors of run 0 over time; the band of three sigma of the first estimator."""
     labels = _chosen(result, wanted, result.errors)
-    labels = labels if wanted.estimators else [next((x for x in labels if x == headline(result).winner), labels[0])]
+    labels = labels if wanted.estimators else [_best(result, labels)]
     frames = {label: thin(result.errors[label], figures.POINTS) for label in labels}
     shown = _axes_of(wanted, list(frames.values()))
     return figures.error_traces(frames, shown, result.outages, result.phases, band=labels[0])
@@ -144,48 +141,22 @@ def track(result: Result, wanted: Wanted) -> Figure:
     """Ground track of run 0."""
     labels = _chosen(result, wanted, result.errors)
     frames = {label: thin(result.errors[label], figures.POINTS) for label in labels}
-    return figures.ground_track(thin(result.truth, figures.POINTS), frames, result.outages)
-
-
-def sizes(frame: pd.DataFrame, quantity: str) -> np.ndarray:
-    """Sizes of an error over time: of an axis, or of a position or velocity in two or three dimensions."""
-    parts = {
-        "position_2d_m": AXES[:2],
-        "position_3d_m": AXES[:3],
-        "velocity_3d_mps": AXES[3:6],
-    }
-    if quantity not in parts and quantity not in AXES:
-        raise InputError(f"--metric {quantity}: {nearest(quantity, [*parts, *AXES])}")
-    values = frame[list(parts.get(quantity, (quantity,)))].to_numpy(dtype=float)
-    norm: np.ndarray = np.sqrt(np.sum(values**2, axis=1))
-    return norm[np.isfinite(norm)]
+    return figures.ground_track(
+        thin(result.truth, figures.POINTS), frames, result.outages, thin(result.gnss, figures.POINTS)
+    )
 
 
 def cdf(result: Result, wanted: Wanted) -> Figure:
     """Share of the time of run 0 in which the error is below a value; the radii of half and of 95 % marked."""
     quantity = wanted.metric or "position_2d_m"
-    figure = new_figure(2.8)
-    ax = figure.add_axes((0.11, 0.15, 0.86, 0.75))
-    found = {label: sizes(result.errors[label], quantity) for label in _chosen(result, wanted, result.errors)}
-    found = {label: np.sort(values) for label, values in found.items() if len(values)}
+    if quantity not in (known := [*over_time.NORMS, *AXES]):
+        raise InputError(f"--metric {quantity}: {nearest(quantity, known)}")
+    labels = _chosen(result, wanted, result.errors)
+    found = {label: over_time.sizes(result.errors[label], quantity) for label in labels}
+    found = {label: values for label, values in found.items() if len(values)}
     if not found:
         raise InputError(f"{result.folder}: no estimator answers for {quantity_label(quantity)}")
-    for k, (label, values) in enumerate(found.items()):
-        look: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)][0], "ls": figures.DASHES[k % len(figures.DASHES)]}
-        ax.plot(values, (np.arange(len(values)) + 1.0) / len(values), label=label, **look)
-        for share in SHARES:
-            ax.plot(np.quantile(values, share), share, "o", ms=3, color=look["color"])
-    for share, name in SHARES.items():
-        ax.axhline(share, color="#999999", lw=0.5, ls=":")
-        if quantity == "position_2d_m":
-            ax.text(1.0, share + 0.01, name, transform=ax.get_yaxis_transform(), ha="right", va="bottom", fontsize=6)
-    least, most = min(v[0] for v in found.values()), max(v[-1] for v in found.values())
-    if most > 100.0 * max(min(np.median(v) for v in found.values()), 1e-12) and least > 0.0:
-        logarithmic(ax, "x")
-        ax.set_xlim(min(np.quantile(v, 0.02) for v in found.values()), most)
-    ax.set(xlabel=f"{quantity_label(quantity)} error, {unit(quantity)}", ylabel="share of the time", ylim=(0.0, 1.0))
-    legend(figure, ax)
-    return figure
+    return over_time.error_cdf(found, quantity)
 
 
 def box(result: Result, wanted: Wanted) -> Figure:
@@ -201,54 +172,15 @@ def box(result: Result, wanted: Wanted) -> Figure:
 
 def nees(result: Result, wanted: Wanted) -> Figure:
     """NEES of run 0 over time divided by its degrees of freedom, with the 95 % bounds of one run."""
-    from scipy.stats import chi2
-
-    labels = _chosen(result, wanted, result.nees)
-    quantities = list(dict.fromkeys(q for label in labels for q in result.nees[label]["quantity"]))
-    figure = new_figure(1.15 * len(quantities) + 0.8)
-    axes = panels(figure, len(quantities))
-    for ax, quantity in zip(axes, quantities, strict=True):
-        for k, label in enumerate(labels):
-            rows = result.nees[label].query("quantity == @quantity")
-            if rows.empty:
-                continue
-            ax.plot(
-                rows["time_s"], rows["value"] / rows["dof"], color=COLOURS[k % len(COLOURS)][0], lw=0.8, label=label
-            )
-            dof = float(rows["dof"].iloc[0])
-        ax.axhspan(*(chi2.ppf((0.025, 0.975), dof) / dof), color="#dddddd", lw=0, zorder=0)
-        ax.axhline(1.0, color="black", lw=0.5)
-        logarithmic(ax, "y")
-        ax.set_ylabel(quantity_label(quantity).replace("NEES ", "NEES/n, "), fontsize=7)
-    shade(axes, result.outages, result.phases)
-    legend(figure, axes[0])
-    return figure
+    tables = {label: result.nees[label] for label in _chosen(result, wanted, result.nees)}
+    return over_time.nees_over_time(tables, result.outages, result.phases)
 
 
 def biases(result: Result, wanted: Wanted) -> Figure:
-    """Estimated biases of run 0 with three sigma, and the true ones; of the first estimator."""
-    label = _chosen(result, wanted, result.biases)[0]
-    frame = thin(result.biases[label], figures.POINTS)
-    names = [name for name in (*ACCEL_BIAS_STATES, *GYRO_BIAS_STATES) if name in frame]
-    figure = new_figure(0.85 * len(names) + 0.8)
-    axes = panels(figure, len(names))
-    for ax, name in zip(axes, names, strict=True):
-        triad, _, axis = name.split("_")[:3]
-        factor, symbol = BIAS_UNITS[triad]
-        t, value = frame["time_s"], factor * frame[name]
-        if f"sigma_{name}" in frame:
-            spread = 3.0 * factor * frame[f"sigma_{name}"]
-            ax.fill_between(t, value - spread, value + spread, color=COLOURS[0][0], alpha=0.18, lw=0, label="±3σ")
-            late = slice(len(t) // 10, None)  # the first tenth of the record is the alignment's
-            reach = float(np.nanmax(np.abs(value[late] - value.iloc[-1]) + spread[late]))
-            ax.set_ylim(value.iloc[-1] - 1.2 * reach, value.iloc[-1] + 1.2 * reach) if np.isfinite(reach) else None
-        ax.plot(t, value, color=COLOURS[0][0], label=label)
-        if f"true_{name}" in frame:
-            ax.plot(t, factor * frame[f"true_{name}"], color="black", lw=0.8, label="truth")
-        ax.set_ylabel(f"{triad} {axis}, {symbol}")
-    shade(axes, result.outages, result.phases)
-    legend(figure, axes[0])
-    return figure
+    """Estimated biases of run 0 with three sigma, and the true ones; of the first estimator, or the best."""
+    labels = _chosen(result, wanted, result.biases)
+    label = labels[0] if wanted.estimators else _best(result, labels)
+    return over_time.bias_traces(thin(result.biases[label], figures.POINTS), label, result.outages, result.phases)
 
 
 KINDS: dict[str, tuple[Callable[[Result, Wanted], Figure], str]] = {

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 
-from testbed.report import innovations, provenance, satellites, tables
+from testbed.report import conditions, innovations, provenance, satellites, tables
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
 from testbed.report.results import Result
@@ -32,6 +32,8 @@ def markdown(result: Result, figures: dict[str, str]) -> str:
     for table in tables.claims(result):
         parts += [f"## {table.title}", markdown_table(table)]
     for table in tables.paper_tables(result):
+        parts += [f"## {table.title}", markdown_table(table)]
+    if (table := conditions.table(result)) is not None:
         parts += [f"## {table.title}", markdown_table(table)]
     others = comparison_windows(result)[1:]
     if others:
