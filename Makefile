@@ -2,12 +2,15 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 EXTRAS := dev,formats,cluster,learn,tuning,sensitivity,peers
+CORE := $(VENV)/.core
 STAMP := $(VENV)/.installed
+DOCS := $(VENV)/.docs
 
-.PHONY: demo test lint bench reports setup clean
+.PHONY: demo test lint bench reports docs setup clean
 
-demo: setup
+demo: $(CORE)
 	$(BIN)/testbed run quickstart --out results/quickstart
 
 test: setup
@@ -24,16 +27,31 @@ bench: setup
 reports: setup
 	$(BIN)/python reports/make.py
 
+# The pages are build/docs/index.html; a warning is an error, and nothing is asked of the network.
+docs: $(DOCS)
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet -b html docs build/docs
+	@echo "documentation: build/docs/index.html"
+
 setup: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt
+# What runs and compares Kalman filters; the rest (tests, torch, peers, file formats) comes with the first `make test`.
+$(CORE): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
+	$(PIP) -e .
 	@echo "compiling the kernels (once per installation)"
 	rm -rf $(VENV)/first-run
 	$(BIN)/testbed run quickstart --profile smoke --jobs 2 --no-report --out $(VENV)/first-run > /dev/null
+	touch $(CORE)
+
+# torch by itself first: the pinned one is a CPU build.
+$(STAMP): $(CORE)
+	$(PIP) torch
+	$(PIP) -e '.[$(EXTRAS)]'
 	touch $(STAMP)
 
+$(DOCS): $(STAMP)
+	$(PIP) -e '.[docs]'
+	touch $(DOCS)
+
 clean:
-	rm -rf $(VENV) results
+	rm -rf $(VENV) results build

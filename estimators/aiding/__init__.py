@@ -49,7 +49,7 @@ class Aiding:
     """Names and units of the m measurements."""
     measure: Callable[..., None]
     samples: Callable[..., Measurements]
-    """samples(log, columns, **options). Raises InputError where the log lacks the sensor."""
+    """``samples(log, columns, **options)``. Raises InputError where the log lacks the sensor."""
     needs: tuple[str, ...] = ()
     """Blocks without which it makes no sense."""
     summary: str = ""

@@ -1,4 +1,4 @@
-"""The error-state filter step by step in plain Python: the kernels of `estimators.core.filter`, called one at a time.
+"""The error-state filter step by step in plain Python: the kernels of `estimators.core.filter`, called one at a time::
 
     f = make_estimator("eskf", aiding=["gnss", "baro"]).start(log)
     for k in range(len(log.imu.t)):

@@ -11,6 +11,7 @@ ordinary ones. Departures: the network steps at 5 Hz, not at each sample of 50 H
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -28,6 +29,8 @@ class AhrsLstm:
     on a KF that errs as the paper's does, ``untrained`` for a network that changes nothing."""
     name: ClassVar[str] = "ahrs-lstm"
     sensors: ClassVar[tuple[str, ...]] = ("imu", "mag")
+    needed_to_train: ClassVar[Mapping[str, str]] = {"torch": "learn"}
+    """Packages that training needs and running does not, and the extra of each."""
 
     def prepare(self, scenario: Any) -> None:
         """Read the weights before a batch begins. Raises InputError when they are missing, damaged or something else."""

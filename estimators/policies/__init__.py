@@ -27,7 +27,7 @@ class Policy:
     name: str
     judge: Callable[..., float] | None
     memory: Callable[..., Array]
-    """memory(rows, **options): its array at the start, for measurements of ``rows`` channels. Raises InputError."""
+    """``memory(rows, **options)``: its array at the start, for measurements of ``rows`` channels. Raises InputError."""
     summary: str = ""
 
 

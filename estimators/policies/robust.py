@@ -1,7 +1,7 @@
 """Robust weights: the noise variance of a channel grows with how far its innovation lies outside of what is expected.
 
 Huber, *Robust Statistics*; IGG-III: Yang, Song & Xu, *Journal of Geodesy* 75 (2001) and 76 (2002). Channel by channel, with
-t = |innovation| / its standard deviation.
+``t = |innovation|`` / its standard deviation.
 """
 
 from __future__ import annotations

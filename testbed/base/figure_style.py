@@ -9,10 +9,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 WIDTH = 6.3
 """Inches: the text width of an A4 page."""
+COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.16
+"""Inches: a column, and the width of both, of a journal in two columns (IEEE's guide to authors)."""
 COLOURS = [
     ("#0072B2", "#4FA8DE"),
     ("#D55E00", "#F0803C"),
@@ -24,6 +27,8 @@ COLOURS = [
     ("#5B5B5B", "#B5B5B5"),
 ]
 """(on white, on dark)"""
+DASHES: list[Any] = ["-", "--", ":", "-.", (0, (6, 1.5)), (0, (4, 1, 1, 1, 1, 1))]
+"""Tell lines apart where colours do not."""
 STYLE: Any = {
     "font.size": 8,
     "axes.spines.top": False,
@@ -39,8 +44,19 @@ STYLE: Any = {
     "svg.hashsalt": "testbed",
     "text.parse_math": False,
     "svg.fonttype": "none",
+    "pdf.fonttype": 42,  # letters that journals accept
     "path.simplify_threshold": 0.5,
 }
+
+
+def logarithmic(axes: Axes, which: str) -> None:
+    """Make the axis ``which`` ("x" or "y") logarithmic, powers of ten as plain numbers: no mathematics has to be set."""
+    from matplotlib.ticker import NullFormatter
+
+    axes.set(**{f"{which}scale": "log"})
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def new_figure(height: float) -> Figure:

@@ -28,6 +28,7 @@ from testbed.cli.options import (
     load_plugins,
     loader,
 )
+from testbed.cli.plot import plot_command
 from testbed.cli.sensitivity import sensitivity_command
 
 app = typer.Typer(
@@ -128,6 +129,14 @@ def run_command(
     resume: Annotated[bool, typer.Option("--resume", help="Complete what is missing in an earlier result.")] = False,
     timeout: Annotated[float | None, typer.Option(min=0.1, help="Longest time of one estimator on one run, s.")] = None,
     sweep: Annotated[list[str] | None, typer.Option(metavar="KEY=V1,V2", help="Run a grid over settings.")] = None,
+    metric: Annotated[
+        str | None, typer.Option(help="With --sweep: the metric that is drawn (rmse_position_3d_m).")
+    ] = None,
+    window: Annotated[str | None, typer.Option(help="With --sweep: the window that is drawn (all).")] = None,
+    log: Annotated[
+        str | None,
+        typer.Option(metavar="x|y|xy|none", help="With --sweep: logarithmic axes; default: where values span 20."),
+    ] = None,
     readings: Annotated[
         bool, typer.Option("--readings", help="Run every reading of the source and judge the claims under each.")
     ] = False,
@@ -170,6 +179,7 @@ def run_command(
         resume=resume,
         timeout=timeout,
         sweep=sweep,
+        drawn={"metric": metric, "window": window, "log": log},
         readings=readings,
         width=width,
         cap=cap,
@@ -285,6 +295,9 @@ def report_command(
     from testbed.cli import commands
 
     commands.report(folders, out)
+
+
+app.command("plot")(plot_command)
 
 
 @app.command("compare")

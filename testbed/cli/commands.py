@@ -78,7 +78,7 @@ def allan(log: Path, out: Path | None, sensor: str = "mine", mapping: Path | Non
     check_own(folder, "testbed allan")
     if not re.fullmatch(r"[A-Za-z0-9_-]+", sensor):
         raise InputError(f"--sensor {sensor}: letters, digits, - and _ make the name of a catalogue entry")
-    read = _own_log(log) or at_rest(log, mapping)
+    read = own_log(log) or at_rest(log, mapping)
     table = analysis.analyse(read)
     if (spread := math.degrees(read.imu.gyro.std(axis=0).max())) > MOVING_DPS:
         tell_user(
@@ -100,7 +100,7 @@ def allan(log: Path, out: Path | None, sensor: str = "mine", mapping: Path | Non
     print(f'catalogue entry: {folder / "sensors.toml"}; use it with model = "{sensor}", file = "sensors.toml"')
 
 
-def _own_log(path: Path) -> SensorLog | None:
+def own_log(path: Path) -> SensorLog | None:
     """The log that the bench wrote into a folder, or None where it is none of these."""
     from testbed.data.records import SensorLog
 
@@ -201,6 +201,8 @@ def report(folders: list[Path], out: Path) -> None:
     """``testbed report``."""
     from testbed.montecarlo.folders import read_manifest as manifest_of
     from testbed.montecarlo.readings import KIND as READINGS
+    from testbed.montecarlo.sweep import KIND as SWEEP
+    from testbed.montecarlo.sweep import write_page as write_sweep
     from testbed.report import render, render_index
     from testbed.report.readings import write_page
     from testbed.tuning.report import write_report
@@ -213,6 +215,8 @@ def report(folders: list[Path], out: Path) -> None:
     for folder in folders:
         if manifest_of(folder, READINGS) is not None:
             write_page(folder)
+        elif manifest_of(folder, SWEEP) is not None:
+            write_sweep(folder)
         elif read_manifest(folder) is None:
             render(folder)
         else:

@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from testbed.base.errors import OWN, InputError, TestbedError, nearest, tell_user
@@ -31,11 +32,13 @@ def run(
     report: bool = True,
     offered: Sequence[str] = (),
     external: Sequence[Path] = (),
+    drawn: Mapping[str, str | None] = MappingProxyType({}),
     **options: Any,
 ) -> None:
     """``testbed run``: the Monte Carlo, the table on screen, the report. ``load`` makes the scenario from overrides.
 
-    ``offered`` are the estimators that plug-ins brought, ``external`` the folders of logs that other programs answered.
+    ``offered`` are the estimators that plug-ins brought, ``external`` the folders of logs that other programs answered,
+    ``drawn`` what the figure of a sweep shows: metric, window, log.
     """
     import testbed.montecarlo.runner
     from testbed.montecarlo.readings import KIND as READINGS
@@ -43,6 +46,8 @@ def run(
     from testbed.montecarlo.sweep import first_point
     from testbed.report import preload, render
 
+    if not sweep and (told := [name for name, value in drawn.items() if value is not None]):
+        raise InputError(f"--{told[0]} says what the figure of a sweep shows; give --sweep KEY=V1,V2 with it")
     if external and runs == "auto":
         raise InputError("--external: only so many runs have answers; give --runs a number in place of auto")
 
@@ -66,7 +71,7 @@ def run(
         return
     count = testbed.montecarlo.runner.Auto(width, cap or AUTO_CAP) if runs == "auto" else run_count(runs)
     if sweep:
-        _sweep(loaded, sweep, folder, runs=count, **options)
+        _sweep(loaded, sweep, folder, runs=count, **drawn, **options)
         return
     _announce_compilation()
     if not options.get("resume") and (earlier := _stored_runs(folder)):
@@ -135,17 +140,36 @@ def _announce_compilation() -> None:
         tell_user("first use: compiling the kernels takes a minute or two")
 
 
-def _sweep(load: Callable[[Mapping[str, Any]], Scenario], grid: list[str], folder: Path, **options: Any) -> None:
+def _sweep(
+    load: Callable[[Mapping[str, Any]], Scenario],
+    grid: list[str],
+    folder: Path,
+    metric: str | None,
+    window: str | None,
+    log: str | None,
+    **options: Any,
+) -> None:
     from testbed.montecarlo.sweep import PLOT_METRIC, parse_sweep
     from testbed.montecarlo.sweep import sweep as run_grid
-    from testbed.scoring.quantities import metric_label, unit
+    from testbed.report.labels import window_label
+    from testbed.scoring.quantities import axis_title
 
-    table = run_grid(load, dict(parse_sweep(text) for text in grid), folder, announce=tell_user, **options)
+    metric, window = metric or PLOT_METRIC, window or "all"
+    table = run_grid(
+        load,
+        dict(parse_sweep(text) for text in grid),
+        folder,
+        announce=tell_user,
+        metric=metric,
+        window=window,
+        log=log,
+        **options,
+    )
     keys = list(table.columns[: len(grid)])
-    rows = table[(table["window"] == "all") & (table["metric"] == PLOT_METRIC)]
-    print(f"{metric_label(PLOT_METRIC)}, {unit(PLOT_METRIC)}, mean over the runs, whole flight")
+    rows = table[(table["window"] == window) & (table["metric"] == metric)]
+    print(f"{axis_title(metric)}, mean over the runs, {window_label(window)}")
     print(rows.pivot(index=keys, columns="estimator", values="mean").to_string(float_format=lambda v: f"{v:.4g}"))
-    print(f"sweep: {folder / 'sweep.csv'} and {folder / 'sweep.png'}")
+    print(f"sweep: {folder / 'sweep.csv'}, figure and table beside it; report: {folder / 'report.html'}")
 
 
 def run_count(runs: str | None) -> int | None:

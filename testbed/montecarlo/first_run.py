@@ -17,18 +17,21 @@ import numpy as np
 from testbed.data import specs
 from testbed.data.observations import GnssObservations
 from testbed.data.records import (
+    ACCEL_BIAS_STATES,
     ATTITUDE_STATES,
+    GYRO_BIAS_STATES,
     NAVIGATION_STATES,
     Array,
     Innovations,
     NavSolution,
+    SensorErrors,
     SensorLog,
     Trajectory,
 )
 from testbed.physics import rotations
 from testbed.scenario import EstimatorConfig, Scenario
-from testbed.scoring.metrics import ErrorSeries
-from testbed.scoring.quantities import AXES
+from testbed.scoring.metrics import ErrorSeries, consistency
+from testbed.scoring.quantities import AXES, NEES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,9 +47,15 @@ CONVERGED_DEG = 10.0
 Solved = tuple[EstimatorConfig, NavSolution, ErrorSeries]
 
 
-def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Sequence[Solved]) -> dict[str, bytes]:
-    """File name -> content: ``truth.parquet``, ``errors-<slug>.parquet``, ``innovations-``, ``extras-``, ``gnss.parquet``,
-    ``satellites.parquet``, ``info.json``."""
+def make(
+    scenario: Scenario,
+    trajectory: Trajectory,
+    log: SensorLog,
+    solved: Sequence[Solved],
+    errors: SensorErrors | None = None,
+) -> dict[str, bytes]:
+    """File name -> content: ``truth.parquet``, ``errors-<slug>.parquet``, ``innovations-``, ``extras-``, ``nees-``, ``biases-``,
+    ``gnss.parquet``, ``satellites.parquet``, ``info.json``."""
     files = {"truth.parquet": _parquet(_thin(trajectory.to_frame()))}
     slugs = _slugs([entry.row for entry in scenario.estimators])
     channels: dict[str, dict[str, list[str]]] = {}
@@ -54,6 +63,10 @@ def make(scenario: Scenario, trajectory: Trajectory, log: SensorLog, solved: Seq
     for entry, solution, series in solved:
         slug = slugs[entry.row]
         files[f"errors-{slug}.parquet"] = _parquet(_thin(errors_frame(solution, series)))
+        if len(nees := nees_frame(solution, series, errors)):
+            files[f"nees-{slug}.parquet"] = _parquet(nees)
+        if len(biases := biases_frame(solution, errors)):
+            files[f"biases-{slug}.parquet"] = _parquet(_thin(biases))
         if told := {aiding: nu for aiding, nu in solution.innovations.items() if len(nu.t)}:
             files[f"innovations-{slug}.parquet"] = _parquet(_innovations_frame(told))
             channels[entry.row] = {aiding: list(nu.channels) for aiding, nu in told.items()}
@@ -196,6 +209,35 @@ def errors_frame(solution: NavSolution, series: ErrorSeries) -> pd.DataFrame:
     place = {"lat_deg": np.degrees(solution.lat), "lon_deg": np.degrees(solution.lon), "alt_m": solution.h}
     columns |= {name: values[rows] if placed else nothing for name, values in place.items()}
     return pd.DataFrame(columns)
+
+
+def nees_frame(solution: NavSolution, series: ErrorSeries, errors: SensorErrors | None) -> pd.DataFrame:
+    """``quantity``, ``time_s``, ``value``, ``dof``: NEES of each group of states at the snapshots of the covariance."""
+    import pandas as pd
+
+    tests = {name: test for name, test in consistency(series, solution, errors).items() if name in NEES and len(test.t)}
+    parts = [
+        pd.DataFrame({"quantity": name, "time_s": test.t, "value": test.value, "dof": test.dof})
+        for name, test in tests.items()
+    ]
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
+
+def biases_frame(solution: NavSolution, errors: SensorErrors | None) -> pd.DataFrame:
+    """Estimated biases over time, SI: a column for each state, ``true_`` and ``sigma_`` of it where they are known."""
+    import pandas as pd
+
+    columns: dict[str, Array] = {}
+    for names, kind in ((ACCEL_BIAS_STATES, "accel_bias"), (GYRO_BIAS_STATES, "gyro_bias")):
+        if (estimate := getattr(solution, kind)) is None or not set(names) <= set(solution.states):
+            continue
+        for k, name in enumerate(names):
+            columns[name] = estimate[:, k]
+            if solution.std is not None:
+                columns[f"sigma_{name}"] = solution.std[:, solution.states.index(name)]
+            if errors is not None:
+                columns[f"true_{name}"] = np.interp(solution.t, errors.t, getattr(errors, kind)[:, k])
+    return pd.DataFrame({"time_s": solution.t} | columns) if columns else pd.DataFrame()
 
 
 def _innovations_frame(told: Mapping[str, Innovations]) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""Sweeps: one Monte Carlo for each point of a grid of scenario settings, in one table and one plot.
+"""Sweeps: one Monte Carlo for each point of a grid of scenario settings, in one table, figure and page.
 
 Each point is a result folder of its own, so a sweep resumes as its points do. ``sweep.csv`` holds the rows of every
 ``summary.csv`` behind the settings of the point (units as the settings' keys and the metric names say).
@@ -8,21 +8,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from testbed.base.csv_text import csv_text
-from testbed.base.errors import InputError
-from testbed.base.files import write_with
+from testbed import pipeline
+from testbed.base.csv_text import csv_text, read_csv
+from testbed.base.errors import InputError, nearest
 from testbed.base.schema import parse_toml
 from testbed.montecarlo.folders import Folder, check_own, read_manifest
 from testbed.montecarlo.runner import plan, prepare, run
 from testbed.montecarlo.store import KIND as RESULT
-from testbed.report.labels import window_label
+from testbed.report.sweeps import FILES
+from testbed.report.sweeps import write as write_files
 from testbed.scenario import Scenario
-from testbed.scoring.quantities import MAIN, metric_label, unit
+from testbed.scoring.quantities import MAIN, is_consistency, metric_names
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,9 +55,13 @@ def sweep(
     resume: bool = False,
     metric: str = PLOT_METRIC,
     announce: Callable[[str], None] | None = None,
+    window: str = "all",
+    log: str | None = None,
     **options: Any,
 ) -> pd.DataFrame:
-    """Run every combination of ``grid`` (dotted scenario key -> values) and write ``sweep.csv`` and ``sweep.png``.
+    """Run every combination of ``grid`` (dotted scenario key -> values); write ``sweep.csv``, figure, LaTeX table and page.
+
+    ``metric`` and ``window`` are those that are drawn, ``log`` as in `testbed.report.sweeps.figure`.
 
     ``load`` makes the scenario of a point from its overrides, for example ``lambda o: load_scenario(name, overrides=o)``.
     ``announce`` is told each point; ``options`` go to `testbed.montecarlo.runner.run`. All points are flown
@@ -72,16 +76,64 @@ def sweep(
     folders = [out / f"point_{number:03d}" for number in range(1, len(points) + 1)]
     for folder, kind in ((out, KIND), *((folder, RESULT) for folder in folders)):
         check_own(folder, kind)
+    _check_drawn(metric, log)
     for scenario in scenarios:
-        prepare(plan(scenario, **planned))
+        trajectory = prepare(plan(scenario, **planned))
+        if scenario is scenarios[0] and window != "all":
+            windows = [
+                w.name for w in pipeline.windows_of(scenario, trajectory, pipeline.sense(scenario, trajectory)[0])
+            ]
+            if window not in windows:
+                raise InputError(f"--window {window}: the scenario has no such window; {nearest(window, windows)}")
+    shown = {"keys": keys, "metric": metric, "window": window, "log": log, "title": _title(scenarios[0])}
     with Folder.open(out, KIND) as own:
-        own.claim(["sweep.csv", "sweep.png"])
+        own.claim(["sweep.csv", *FILES])
         table = _run_points(points, scenarios, folders, resume, announce, options)
         own.write("sweep.csv", csv_text(table, float_format="%.10g", lineterminator="\n").encode())
-        plot(table, keys, out / "sweep.png", metric)
-        own.finish("sweep.png")
-        own.save()
+        _write_shown(own, read_csv(out / "sweep.csv"), shown)  # of its digits, so that they can be made again
     return table
+
+
+def write_page(folder: Path) -> Path:
+    """Make figure, LaTeX table and page of a sweep again from its ``sweep.csv``; returns the page.
+
+    Raises InputError where the folder holds no finished sweep, or one of version 0.1, which does not say what its keys are.
+    """
+    table, shown = read_sweep(folder)
+    with Folder.open(folder, KIND) as own:
+        own.claim(FILES)
+        _write_shown(own, table, shown)
+    return folder / "report.html"
+
+
+def read_sweep(folder: Path) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """The table of a finished sweep, and what its figure shows: keys, metric, window, log, title. Raises InputError."""
+    manifest = read_manifest(folder, KIND)
+    path = folder / "sweep.csv"
+    if manifest is None or not path.is_file():
+        raise InputError(f"{folder}: no finished sweep; testbed run SCENARIO --sweep KEY=V1,V2 --resume completes one")
+    shown = manifest.get("shown")
+    if not isinstance(shown, dict) or set(shown) != {"keys", "metric", "window", "log", "title"}:
+        raise InputError(f"{folder}: this sweep does not say what it shows; run it again with --resume")
+    return read_csv(Folder(folder, manifest).check("sweep.csv")), shown
+
+
+def _write_shown(own: Folder, table: pd.DataFrame, shown: Mapping[str, Any]) -> None:
+    write_files(own.out, table, **shown)
+    for name in FILES:
+        own.finish(name)
+    own.save(shown=dict(shown))
+
+
+def _check_drawn(metric: str, log: str | None) -> None:
+    if metric not in (known := metric_names()) and not is_consistency(metric):
+        raise InputError(f"--metric {metric}: unknown; {nearest(metric, known)} (testbed list metrics shows all)")
+    if log not in (None, "x", "y", "xy", "none"):
+        raise InputError(f"--log {log}: x, y, xy or none")
+
+
+def _title(scenario: Scenario) -> str:
+    return scenario.scenario.title or scenario.name
 
 
 def _run_points(
@@ -112,37 +164,3 @@ def _run_points(
 def _cell(value: Any) -> Any:
     """A setting as a table shows it."""
     return value if isinstance(value, int | float | str | bool) else str(value).replace(" ", "")
-
-
-def plot(table: pd.DataFrame, keys: Sequence[str], path: Path, metric: str = PLOT_METRIC, window: str = "all") -> None:
-    """Mean and 95 % interval of a metric over the first key, a line per estimator, a panel per value of the other keys."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    first, others = keys[0], list(keys[1:])
-    rows = table[(table["metric"] == metric) & (table["window"] == window)]
-    panels: list[tuple[Any, Any]] = list(rows.groupby(others, sort=False)) if others else [((), rows)]
-    figure = Figure(figsize=(1.0 + 4.2 * max(1, len(panels)), 3.8), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(1, max(1, len(panels)), sharey=True, squeeze=False)[0]
-    for axis, (values, part) in zip(axes, panels, strict=False):
-        for estimator, line in part.groupby("estimator", sort=False):
-            numeric = [isinstance(v, int | float) for v in line[first]]
-            x = line[first].to_numpy(dtype=float) if all(numeric) else line[first].astype(str).to_numpy()
-            spread = [line["mean"] - line["ci_low"], line["ci_high"] - line["mean"]]
-            axis.errorbar(
-                x,
-                line["mean"],
-                yerr=[s.clip(lower=0).fillna(0) for s in spread],
-                marker="o",
-                capsize=3,
-                label=estimator,
-            )
-        axis.set_xlabel(first)
-        axis.set_title(", ".join(f"{k} = {v}" for k, v in zip(others, values, strict=False)), fontsize=9)
-        axis.grid(alpha=0.3)
-    what = ", ".join(filter(None, (metric_label(metric), unit(metric), window_label(window))))
-    axes[0].set_ylabel(f"{what}\n(mean and 95 % interval)", fontsize=9)
-    if len(rows):
-        axes[0].legend(fontsize=8)
-    write_with(path, partial(figure.savefig, format="png", dpi=150))

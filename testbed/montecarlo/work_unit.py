@@ -158,7 +158,7 @@ class Bench:
         for each in sensed:
             each.result.put_in_order([entry.row for entry in scenario.estimators])
             if each.result.run == 0:
-                each.result.files = details.make(scenario, each.trajectory, each.log, each.for_details)
+                each.result.files = details.make(scenario, each.trajectory, each.log, each.for_details, each.errors)
         if heartbeat is not None:
             heartbeat(runs, "", None)
         return sorted([*lost_runs, *(each.result for each in sensed)], key=lambda result: result.run)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from testbed.report import geometry, sky_charts
+from testbed.report import geometry, run_charts, sky_charts
 from testbed.report.headline import Headline
 from testbed.report.labels import DASHES, component_label
 from testbed.report.results import Result, thin
@@ -37,9 +37,13 @@ INK = -1
 
 
 def ground_track(
-    truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], colours: Mapping[str, int], outages: Spans
+    truth: pd.DataFrame,
+    estimates: Mapping[str, pd.DataFrame],
+    colours: Mapping[str, int],
+    outages: Spans,
+    fixes: pd.DataFrame,
 ) -> Figure:
-    """North over east from the start, equal axes."""
+    """North over east from the start, equal axes; fixes as dots, so that outliers stand apart."""
     truth = thin(truth, POINTS)
     east, north, _ = geometry.local(truth, truth)
     traces = []
@@ -48,6 +52,10 @@ def ground_track(
         meta = {"colour": "outage", "shown": k == 0}
         look = {"width": 11}
         traces.append(trace_line(east[inside], north[inside], "no GNSS", meta, line=look, hoverinfo="skip"))
+    if len(fixes):
+        e, n, _ = geometry.local(thin(fixes, POINTS), truth)
+        dots: Figure = {"mode": "markers", "marker": {"size": 3}, "opacity": 0.5, "hoverinfo": "skip"}
+        traces.append(trace_line(e, n, "fixes", {"colour": "outage", "shown": True}, **dots))
     for label, frame in estimates.items():
         e, n, _ = geometry.local(thin(frame, POINTS), truth)
         traces.append(
@@ -294,7 +302,7 @@ def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
     spans, phases = result.outages, result.phases
     found: dict[str, dict[str, Any]] = {}
     if len(result.truth) and runs:
-        found["track"] = {"views": {"": ground_track(result.truth, runs, colours, spans)}}
+        found["track"] = {"views": {"": ground_track(result.truth, runs, colours, spans, result.gnss)}}
         found["path"] = {"views": {"": path_3d(result.truth, runs, colours, spans)}}
     groups = {g: q for g, q in GROUPS.items() if any(f[q].notna().any(axis=None) for f in runs.values())}
     if groups:
@@ -325,6 +333,7 @@ def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
             if len(f) and e in colours
         }
         found["innovations"] = {"views": views}
+    found |= run_charts.charts(result, colours, lead.winner)
     if len(result.satellites):
         found["sky"] = {"views": {"": sky_charts.sky(result.satellites)}}
         found["satellites"] = {"views": {"": sky_charts.over_time(result.satellites, spans, phases)}}

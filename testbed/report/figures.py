@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from testbed.base.figure_style import COLOURS, STYLE, new_figure
+from testbed.base.figure_style import COLOURS, DASHES, STYLE, new_figure
 from testbed.base.files import write_with
-from testbed.report import geometry, innovations, satellites
+from testbed.report import geometry, innovations, over_time, satellites
 from testbed.report.headline import headline
 from testbed.report.labels import component_label, short_name
 from testbed.report.panels import Phases, Spans, legend, panels, shade
@@ -31,7 +31,6 @@ POINTS = 700  # per line: about one per pixel of the printed width
 MOST_EXTRAS = 3
 FAR = 1e-2  # of the expected value: so far below it, a filter's covariance says nothing
 MOST_LINES = 8  # colours that a reader can tell apart
-DASHES = ["-", "--", ":", "-.", (0, (6, 1.5)), (0, (4, 1, 1, 1, 1, 1))]
 DPI = 120
 PLAIN = "{x:g}"  # tick labels: a power of ten as mathematics takes ten times as long to set
 
@@ -43,14 +42,22 @@ class Drawing(NamedTuple):
     caption: str
 
 
-def ground_track(truth: pd.DataFrame, estimates: Mapping[str, pd.DataFrame], outages: Spans = ()) -> Figure:
-    """North over east from the start, equal axes; the truth without GNSS drawn broad."""
+def ground_track(
+    truth: pd.DataFrame,
+    estimates: Mapping[str, pd.DataFrame],
+    outages: Spans = (),
+    fixes: pd.DataFrame | None = None,
+) -> Figure:
+    """North over east from the start, equal axes; the truth without GNSS drawn broad, fixes as dots (outliers stand apart)."""
     figure = new_figure(4.2)
     ax = figure.add_axes((0.11, 0.12, 0.86, 0.80))
     east, north, _ = geometry.local(truth, truth)
     for a, b in outages:
         inside = truth["time_s"].between(a, b).to_numpy()
         ax.plot(east[inside], north[inside], color="#bbbbbb", lw=7, solid_capstyle="butt", label="no GNSS", zorder=1)
+    if fixes is not None and len(fixes):
+        e, n, _ = geometry.local(fixes, truth)
+        ax.plot(e, n, ".", color="#999999", ms=2, label="fixes", zorder=1)
     for k, (label, frame) in enumerate(estimates.items()):
         e, n, _ = geometry.local(frame, truth)
         ax.plot(e, n, color=COLOURS[k % len(COLOURS)][0], ls=DASHES[k % len(DASHES)], label=label)
@@ -257,12 +264,14 @@ def drawings(result: Result) -> dict[str, Drawing]:
 
     if len(result.truth) and estimates:
         truth = thin(result.truth, POINTS)
-        add("ground_track", "Ground track of run 0; broad grey: no GNSS.", ground_track, truth, estimates, spans)
+        fixes = thin(result.gnss, POINTS)
+        add("ground_track", "Ground track of run 0; broad grey: no GNSS.", ground_track, truth, estimates, spans, fixes)
         add("path_3d", "Path of run 0 in space.", path_3d, truth, estimates)
     for group, quantities in GROUPS.items():
         if any(f[quantities].notna().any(axis=None) for f in estimates.values()):
             caption = f"{group} error of run 0 with ±3σ of {lead.winner}; shaded: no GNSS."
             add(f"error_{group.lower()}", caption, error_traces, estimates, quantities, spans, phases, lead.winner)
+    found |= _over_time(result, lead.winner, list(estimates))
     if result.estimators:
         add("rmse", "Mean RMSE over the runs with 95 % intervals.", rmse_bars, result.summary, lines, lead.window)
     metrics = [f"rmse_{quantity}" for quantity in MAIN]
@@ -290,6 +299,23 @@ def drawings(result: Result) -> dict[str, Drawing]:
         name = f"extras_{result.info['estimators'][label]}"
         components = result.components(label)
         add(name, f"Beside the state, {label}, run 0.", extras, frame, label, spans, phases, components)
+    return found
+
+
+def _over_time(result: Result, winner: str, lines: Sequence[str]) -> dict[str, Drawing]:
+    """Distribution of the errors of run 0, its NEES, and the biases that the winner estimates."""
+    found: dict[str, Drawing] = {}
+    sizes = {label: over_time.sizes(result.errors[label], "position_2d_m") for label in lines}
+    if sizes := {label: values for label, values in sizes.items() if len(values)}:
+        caption = "Share of the time of run 0 with a horizontal error below a value; dots: CEP and R95."
+        found["cdf"] = Drawing(partial(over_time.error_cdf, sizes, "position_2d_m"), caption)
+    if nees := {label: result.nees[label] for label in lines if label in result.nees}:
+        caption = "NEES of run 0 divided by its degrees of freedom; grey: 95 % of the time for an honest filter."
+        found["nees"] = Drawing(partial(over_time.nees_over_time, nees, result.outages, result.phases), caption)
+    if winner in result.biases:
+        frame = thin(result.biases[winner], POINTS)
+        caption = f"Biases of run 0 as {winner} estimates them with ±3σ, and the true ones."
+        found["biases"] = Drawing(partial(over_time.bias_traces, frame, winner, result.outages, result.phases), caption)
     return found
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.base.figure_style import COLOURS
-from testbed.report import innovations, provenance, satellites, tables
+from testbed.report import conditions, innovations, provenance, satellites, tables
 from testbed.report.charts import charts
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
@@ -39,6 +39,7 @@ def page(result: Result) -> str:
         claims=tables.claims(result),
         paper_tables=tables.paper_tables(result),
         failures=tables.failures(result),
+        conditions=conditions.table(result),
         consistency=tables.consistency(result),
         innovations=innovations.table(result),
         satellites=satellites.table(result),
@@ -122,9 +123,11 @@ def _pack(data: bytes) -> str:
 
 def _sections(result: Result, drawn: dict[str, Any]) -> list[tuple[str, str]]:
     """(anchor, name) of what the page contains, in order."""
-    found = [("comparison", "Comparison")]
+    found = [("findings", "Findings")] if result.findings else []
+    found += [("comparison", "Comparison")]
     found += [("claims", "Claims")] if len(result.claims) else []
     found += [("paper", "Paper’s tables")] if result.scenario.get("tables") else []
+    found += [("conditions", "Conditions")] if result.scenario else []
     found += [("flight", "Flight")] if "track" in drawn else []
     found += [("errors", "Errors")] if "errors" in drawn else []
     found += [("spread", "Monte Carlo")] if {"spread", "envelopes"} & set(drawn) else []

@@ -106,6 +106,12 @@ class Result:
     errors: Mapping[str, pd.DataFrame] = field(default_factory=dict)
     innovations: Mapping[str, Mapping[str, pd.DataFrame]] = field(default_factory=dict)
     extras: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    nees: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    """Run 0's, by estimator: ``quantity``, ``time_s``, ``value``, ``dof``."""
+    biases: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    """Run 0's, by estimator, SI: ``time_s``, a column for each bias state, ``sigma_`` and ``true_`` of it."""
+    gnss: pd.DataFrame = field(default_factory=pd.DataFrame)
+    """Run 0's fixes."""
     satellites: pd.DataFrame = field(default_factory=pd.DataFrame)
     """Run 0's, a row per satellite and epoch; empty where the receiver was not simulated down to them."""
     findings: str = ""
@@ -268,9 +274,11 @@ def _load_details(store: Store) -> dict[str, Any]:
     found: dict[str, Any] = {"info": info}
     if (truth := optional_part(store, "details/truth.parquet", _over_time)) is not None:
         found["truth"] = truth
+    if (gnss := optional_part(store, "details/gnss.parquet", _over_time)) is not None and set(gnss) >= FIX_PLACE:
+        found["gnss"] = gnss
     if (satellites := optional_part(store, "details/satellites.parquet", _of_satellites)) is not None:
         found["satellites"] = satellites
-    for kind in ("errors", "innovations", "extras"):
+    for kind in ("errors", "innovations", "extras", "nees", "biases"):
         names = {label: f"details/{kind}-{slug}.parquet" for label, slug in info.get("estimators", {}).items()}
         tables = {label: optional_part(store, name, _over_time) for label, name in names.items()}
         found[kind] = {label: table for label, table in tables.items() if table is not None}
@@ -292,6 +300,7 @@ def _over_time(path: Path) -> pd.DataFrame:
     return frame
 
 
+FIX_PLACE = {"lat_deg", "lon_deg", "alt_m"}
 SATELLITE_COLUMNS = ("azimuth_deg", "elevation_deg", "cn0_dbhz", "residual_m", "used", "hdop", "vdop")
 
 

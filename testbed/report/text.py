@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 
-from testbed.report import innovations, provenance, satellites, tables
+from testbed.report import conditions, innovations, provenance, satellites, tables
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
 from testbed.report.results import Result
@@ -32,6 +32,8 @@ def markdown(result: Result, figures: dict[str, str]) -> str:
     for table in tables.claims(result):
         parts += [f"## {table.title}", markdown_table(table)]
     for table in tables.paper_tables(result):
+        parts += [f"## {table.title}", markdown_table(table)]
+    if (table := conditions.table(result)) is not None:
         parts += [f"## {table.title}", markdown_table(table)]
     others = comparison_windows(result)[1:]
     if others:
@@ -91,21 +93,22 @@ def latex(result: Result) -> str:
     optional = (tables.consistency(result), innovations.table(result), satellites.table(result), tables.timings(result))
     found += tables.claims(result) + [table for table in optional if table is not None]
     found += tables.paper_tables(result)
-    return "% needs \\usepackage{booktabs}\n\n" + "\n".join(_latex_table(result, t) for t in found)
+    return "% needs \\usepackage{booktabs}\n\n" + "\n".join(latex_table(result.name, t) for t in found)
 
 
-def _latex_table(result: Result, table: Table) -> str:
+def latex_table(name: str, table: Table) -> str:
+    """One table; its label begins with ``name``."""
     layout = "l" + "".join("r" if c.numeric else "p{5cm}" if c.label == "Claim" else "l" for c in table.columns)
     lines = [
         "\\begin{table}[htbp]",
         "  \\centering\\footnotesize\\setlength{\\tabcolsep}{4pt}",
         f"  \\caption{{{_escape(f'{table.title}. {table.note}')}}}",
     ]
-    key = re.sub(r"[^A-Za-z0-9.:_-]", "-", f"{result.name}-{table.key}")  # in a label nothing can be escaped
+    key = re.sub(r"[^A-Za-z0-9.:_-]", "-", f"{name}-{table.key}")  # in a label nothing can be escaped
     lines += [f"  \\label{{tab:{key}}}", f"  \\begin{{tabular}}{{{layout}}}", "    \\toprule"]
     lines += [*_latex_heads(table), "    \\midrule"]
-    for name, cells in table.rows:
-        lines.append("    " + " & ".join([_escape(name), *(_latex_cell(c) for c in cells)]) + " \\\\")
+    for row, cells in table.rows:
+        lines.append("    " + " & ".join([_escape(row), *(_latex_cell(c) for c in cells)]) + " \\\\")
     return "\n".join([*lines, "    \\bottomrule", "  \\end{tabular}", "\\end{table}", ""])
 
 

@@ -52,8 +52,6 @@ class Key:
         tables = [kind for kind in unwrap(self.field.annotation) if _is_table(kind)]
         if self.name == "type" and not text:
             return "Says that it is of this kind: " + (inspect.getdoc(self.table) or "").split("\n\n")[0]
-        if self.name == "type" and not text:
-            return "Says that it is of this kind: " + (inspect.getdoc(self.table) or "").split("\n\n")[0]
         if not text and tables:
             text = " ".join(f"{inspect.getdoc(kind) or ''}".split("\n\n")[0] for kind in tables)
         return " ".join(text.split())
@@ -147,15 +145,21 @@ def toml_value(value: Any) -> str:
 
 def examples(path: str, most: int = 3) -> list[tuple[str, str]]:
     """(name of a shipped scenario, value as it stands there) for a key's path without places in lists, all different."""
-    from testbed.base.schema import read_toml
-    from testbed.scenario import list_scenarios
-
     found: dict[str, str] = {}
-    for name, file in list_scenarios().items():
-        for value in _values_at(read_toml(file), path.split(".")):
+    for name, data in _shipped():
+        for value in _values_at(data, path.split(".")):
             if not isinstance(value, dict) and not _has_tables(value):
                 found.setdefault(toml_value(value), name)
     return [(name, value) for value, name in found.items()][:most]
+
+
+@cache
+def _shipped() -> list[tuple[str, dict[str, Any]]]:
+    """Name and content of every shipped scenario."""
+    from testbed.base.schema import read_toml
+    from testbed.scenario import list_scenarios
+
+    return [(name, read_toml(file)) for name, file in list_scenarios().items()]
 
 
 def _values_at(data: Any, parts: list[str]) -> Iterator[Any]:

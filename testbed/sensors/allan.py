@@ -23,6 +23,7 @@ from testbed.sensors.allan_fit import Curve, Figures, fit_allan, markov_shape
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 POINTS_PER_OCTAVE = 3
 FEWEST_CLUSTERS = 5
@@ -155,11 +156,16 @@ def _strangers(key: str, together: Figures, each: list[Figures]) -> str:
 
 
 def plot(log: SensorLog, path: str | Path) -> None:
-    """Log-log plot of the Allan deviation of both triads, with the fitted curve and its -1/2, 0 and +1/2 slopes."""
+    """Write `figure` as PNG."""
+    write_with(Path(path), partial(figure(log).savefig, format="png", dpi=80))
+
+
+def figure(log: SensorLog, width: float = 11.0, height: float = 4.6) -> Figure:
+    """Log-log plot of the Allan deviation of both triads, with the fitted curve and its -1/2, 0 and +1/2 slopes; inches."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-    for axes, (triad, samples, spec) in zip(figure.subplots(1, 2), _triads(log), strict=True):
+    drawn = Figure(figsize=(width, height), layout="constrained")
+    for axes, (triad, samples, spec) in zip(drawn.subplots(1, 2), _triads(log), strict=True):
         unit = "deg/h" if triad == "gyro" else "mg"
         factor = _units(triad)["bias_instability"].factor
         curves = [allan_deviation(samples[:, i], _rate(log)) for i in range(3)]
@@ -176,7 +182,7 @@ def plot(log: SensorLog, path: str | Path) -> None:
         )
         axes.grid(True, which="both", lw=0.3)
         axes.legend(fontsize=7)
-    write_with(Path(path), partial(figure.savefig, format="png", dpi=80))
+    return drawn
 
 
 def _draw_fit(axes: Any, tau: Array, fit: Figures, factor: float) -> None:

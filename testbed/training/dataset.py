@@ -1,8 +1,7 @@
 """Training data: many drawn flights of a scenario's aircraft, sensed, and stored as Parquet shards with the truth.
 
 `[extra.dataset]` of a scenario says how many flights, how long and how varied; scripts, payload, wind and turbulence are
-drawn from the scenario's seed. One shard is one flight, so that a split is always by flight. Columns are float32 in SI
-units (µT for the field), ``q_nb`` is truth; rows are the IMU samples.
+drawn from the scenario's seed. One shard (`testbed.training.shards`) is one flight, so that a split is always by flight.
 """
 
 from __future__ import annotations
@@ -15,30 +14,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from testbed.base.checksums import check_seal, read_json, sealed_parquet
-from testbed.base.errors import FlightError, InputError
-from testbed.base.files import from_json, write_atomic
+from testbed.base.checksums import read_json
+from testbed.base.errors import FlightError, InputError, nearest
 from testbed.base.schema import Table, validate
 from testbed.base.streams import stream
 from testbed.flight.cache import flown_by
 from testbed.flight.config import FlightConfig
 from testbed.montecarlo.folders import MANIFEST, Folder
 from testbed.scenario import Scenario
+from testbed.training.shards import ROWS_PER_GROUP as ROWS_PER_GROUP
+from testbed.training.shards import WIDTHS, Shard, shard_meta, write_shard
 
 if TYPE_CHECKING:
-    from testbed.data.records import SensorLog, Trajectory
+    from testbed.data.records import Trajectory
 
 KIND = "testbed data set"
 _SHARD = re.compile(r"flight-[0-9]{3,}\.parquet")
-ROWS_PER_GROUP = 3000
-"""Rows of a Parquet row group: what a reader must hold to read one window."""
+SPLITS = ("train", "validation", "test")
 ATTEMPTS = 20
 """Scripts drawn for a flight before the aircraft is held to be unable to fly any."""
-PREFIXES = {"gyro": 3, "accel": 3, "mag": 3, "q_nb": 4}
-"""Column groups of a shard and their widths, after ``time_s``."""
 
 
 def _ascending(values: list[float]) -> list[float]:
@@ -56,19 +52,31 @@ class DatasetConfig(Table):
     """``[extra.dataset]``: intervals are uniform."""
 
     flights: int = Field(default=8, ge=2)
+    """How many."""
     validation: int = Field(default=1, ge=1)
-    """How many of the flights, the last ones, are held back to choose the best weights."""
+    """How many of the flights are held back to choose the best weights: the last ones, before those of ``test``."""
+    test: int = Field(default=0, ge=0)
+    """How many of the flights, the last ones, no training ever sees."""
     duration_s: float = Field(default=1500.0, gt=30.0, le=100_000.0)
+    """Of each flight."""
     seed: int = Field(default=1, ge=0)
+    """Of all that is drawn: flight k is the same whatever their number."""
     payload_kg: Interval = [0.0, 2.0]
+    """Least and greatest payload."""
     wind_mps: float = Field(default=5.0, ge=0.0, le=50.0)
     """Largest steady wind, in a drawn direction."""
     turbulence: list[Literal["none", "light", "moderate", "severe"]] = ["none", "light", "moderate"]
+    """One of these is drawn for each flight."""
     speed_mps: Interval = [25.0, 36.0]
+    """Airspeed at the start, and what manoeuvres change it to."""
     alt_m: Interval = [800.0, 1500.0]
+    """Height at the start."""
     bank_deg: Interval = [15.0, 50.0]
+    """Bank of turns, to either side."""
     radius_m: Interval = [160.0, 400.0]
+    """Of loiters."""
     climb_rate_mps: Interval = [1.0, 2.5]
+    """Of climbs and descents."""
     manoeuvre_s: Annotated[list[Duration], Field(min_length=2, max_length=2), AfterValidator(_ascending)] = [
         20.0,
         400.0,
@@ -93,8 +101,12 @@ def make_dataset(
     """
     config = dataset_config(scenario)
     count = config.flights if flights is None else flights
-    if count <= config.validation:
-        raise InputError(f"{count} flights leave none to train on: {config.validation} are for validation")
+    if count <= (held := config.validation + config.test):
+        raise InputError(
+            f"{count} flights leave none to train on: {held} are for {'validation and test' if config.test else 'validation'}"
+        )
+    if scenario.sensors is None:
+        raise InputError(f"{scenario.source_path}: a data set needs [sensors]")
     key = dataset_key(scenario)
     shards = [f"flight-{k:03d}.parquet" for k in range(count)]
     with Folder.open(out, KIND, among=_only_shards(Path(out), key)) as folder:
@@ -107,7 +119,7 @@ def make_dataset(
         entries = []
         for k, name in enumerate(shards):
             entries.append(_flight_shard(scenario, config, k, folder.out / name, key))
-            entries[-1]["split"] = "train" if k < count - config.validation else "validation"
+            entries[-1]["split"] = SPLITS[(k >= count - held) + (k >= count - config.test)]
             folder.finish(name)
             if progress is not None:
                 progress(k + 1, count)
@@ -135,7 +147,8 @@ def dataset_key(scenario: Scenario) -> str:
     parts["flight"] = {key: parts["flight"].get(key) for key in ("aircraft", "rate_hz", "initial")}
     parts["flown_by"] = flown_by()
     settings = dataset_config(scenario).model_dump(mode="json")
-    parts["dataset"] = {key: value for key, value in settings.items() if key not in ("flights", "validation")}
+    parts["dataset"] = {key: value for key, value in settings.items() if key not in ("flights", "validation", "test")}
+    parts["columns"] = WIDTHS
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -237,7 +250,7 @@ def _flight_shard(scenario: Scenario, config: DatasetConfig, k: int, path: Path,
             tell_user(f"{error}; it is flown again")
     trajectory, flight, refused = fly_drawn(scenario, config, k)
     assert scenario.sensors is not None
-    log, _ = sense_flight(scenario.sensors, scenario.initial, trajectory, config.seed, k)
+    log, errors = sense_flight(scenario.sensors, scenario.initial, trajectory, config.seed, k)
     entry = {
         "file": path.name,
         "flight": flight.model_dump(mode="json", exclude_none=True),
@@ -246,89 +259,25 @@ def _flight_shard(scenario: Scenario, config: DatasetConfig, k: int, path: Path,
         "scripts_refused": refused,
         "rows": len(log.imu.t),
     }
-    write_shard(path, log, trajectory, {"key": key, "entry": entry})
+    write_shard(path, log, trajectory, {"key": key, "entry": entry}, errors)
     return entry
-
-
-def write_shard(path: Path, log: SensorLog, trajectory: Trajectory, meta: dict[str, Any]) -> None:
-    """Store a log with the truth at its IMU times. The magnetometer must sample with the IMU."""
-    import pyarrow as pa
-
-    from testbed.data import specs
-    from testbed.scoring.error_series import truth_at
-
-    if log.mag is None or len(log.mag.t) != len(log.imu.t) or np.abs(log.mag.t - log.imu.t).max() > 1e-6:
-        raise InputError("a data set needs a magnetometer that samples with the IMU, at the same rate")
-    groups = {
-        "gyro": log.imu.gyro,
-        "accel": log.imu.accel,
-        "mag": log.mag.field,
-        "q_nb": truth_at(trajectory, log.imu.t)[4],
-    }
-    columns = {"time_s": log.imu.t.astype(np.float64)}
-    for name, values in groups.items():
-        columns |= {f"{name}_{i}": values[:, i].astype(np.float32) for i in range(values.shape[1])}
-    initial = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(log.initial).items()}
-    known = {"initial": initial, "imu": specs.to_dict(log.imu.spec), "mag": specs.to_dict(log.mag.spec)}
-    table = pa.table(columns).replace_schema_metadata({"testbed": json.dumps(meta | {"log": known}).encode()})
-    write_atomic(path, sealed_parquet(table, row_group_size=ROWS_PER_GROUP))
-
-
-def shard_meta(path: Path) -> dict[str, Any]:
-    """What a shard says of itself, once it is undamaged. Raises InputError when it is none."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    check_seal(path)
-    try:
-        header = pq.read_schema(path).metadata or {}
-    except (OSError, pa.ArrowInvalid) as error:
-        raise InputError(f"{path}: not a readable shard ({error})") from None
-    try:
-        return dict(from_json(header.get(b"testbed", b"{}")))
-    except (ValueError, TypeError):
-        raise InputError(f"{path}: its header is damaged; delete it and make the data set again") from None
-
-
-class Shard:
-    """One flight of a data set: `window` reads some of its rows and holds no more than these."""
-
-    def __init__(self, path: str | Path) -> None:
-        import pyarrow.parquet as pq
-
-        self.path = Path(path)
-        self.meta = shard_meta(self.path)
-        self._file = pq.ParquetFile(self.path, memory_map=True)
-        self.rows = int(self._file.metadata.num_rows)
-
-    def window(self, start: int, rows: int) -> dict[str, NDArray[np.float32]]:
-        """Rows ``start`` to ``start + rows`` as ``gyro``, ``accel``, ``mag`` (n,3), ``q_nb`` (n,4), float32."""
-        first, last = start // ROWS_PER_GROUP, (start + rows - 1) // ROWS_PER_GROUP
-        table = self._file.read_row_groups(list(range(first, last + 1)))
-        table = table.slice(start - first * ROWS_PER_GROUP, rows)
-        return {
-            name: np.column_stack([table.column(f"{name}_{i}").to_numpy() for i in range(width)])
-            for name, width in PREFIXES.items()
-        }
-
-    def log(self) -> SensorLog:
-        """The whole flight as the log that a filter sees (samples in float32 precision)."""
-        from testbed.data import specs
-        from testbed.data.records import ImuSamples, InitialState, MagSamples, SensorLog
-        from testbed.data.specs import ImuSpec, MagSpec
-
-        known, data = self.meta["log"], self.window(0, self.rows)
-        t = self._file.read(columns=["time_s"]).column("time_s").to_numpy()
-        initial: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v for k, v in known["initial"].items()}
-        imu = ImuSamples(
-            t, data["gyro"].astype(float), data["accel"].astype(float), specs.from_dict(ImuSpec, known["imu"])
-        )
-        mag = MagSamples(t, data["mag"].astype(float), specs.from_dict(MagSpec, known["mag"]))
-        return SensorLog(imu, InitialState(**initial), mag=mag, name=self.path.stem)
 
 
 def open_dataset(folder: str | Path) -> tuple[list[Shard], list[Shard]]:
     """The training and the validation flights of a data set. Raises InputError when the folder holds none."""
+    return _flights(folder, "train"), _flights(folder, "validation")
+
+
+def open_split(folder: str | Path, split: str) -> list[Shard]:
+    """The flights of "train", "validation" or "test". Raises InputError for a data set or split that there is not."""
+    if split not in SPLITS:
+        raise InputError(f"there is no split '{split}'; {nearest(split, SPLITS)}")
+    if not (found := _flights(folder, split)):
+        raise InputError(f"{folder}: no flight is kept for '{split}'; [extra.dataset] {split} = N keeps some")
+    return found
+
+
+def _flights(folder: str | Path, split: str) -> list[Shard]:
     folder = Path(folder)
     manifest = folder / "manifest.json"
     if not manifest.is_file():
@@ -342,10 +291,15 @@ def open_dataset(folder: str | Path) -> tuple[list[Shard], list[Shard]]:
     ):
         raise InputError(f"{manifest}: damaged, or not of a data set ('flights' does not list them)")
 
-    def split(name: str) -> list[Shard]:
-        return [Shard(folder / entry["file"]) for entry in entries if entry["split"] == name]
-
-    return split("train"), split("validation")
+    return [Shard(folder / entry["file"]) for entry in entries if entry["split"] == split]
 
 
-__all__: Sequence[str] = ("DatasetConfig", "Shard", "dataset_config", "make_dataset", "open_dataset", "write_shard")
+__all__: Sequence[str] = (
+    "DatasetConfig",
+    "Shard",
+    "dataset_config",
+    "make_dataset",
+    "open_dataset",
+    "open_split",
+    "write_shard",
+)

@@ -2,19 +2,21 @@
 
 Training itself belongs to the estimator: the scenario's first estimator whose class has ``train(training, validation,
 out, settings, filter_params, resume, tell)``. ``[extra.train]`` are its settings, ``[extra.train.filter]`` parameters of the
-filter below it, ``[extra.train.sweep]`` lists of settings whose every combination is trained.
+filter below it, ``[extra.train.sweep]`` lists of settings whose every combination is trained. ``needed_to_train`` of the
+class names the packages that training needs beyond running, each with the extra that brings it.
 """
 
 from __future__ import annotations
 
 import csv
+import importlib.util
 import io
 import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from testbed.base.errors import InputError
+from testbed.base.errors import InputError, MissingExtra
 from testbed.base.resources import cache_root
 from testbed.montecarlo.folders import LOCK, MANIFEST, Folder, check_own
 from testbed.scenario import Scenario
@@ -51,7 +53,7 @@ def train(
     settings = dict(scenario.extra.get("train", {}))
     filter_params, grid = settings.pop("filter", {}), settings.pop("sweep", {})
     wanted = dataset_config(scenario)
-    training = training[: max(1, wanted.flights - wanted.validation)]
+    training = training[: max(1, wanted.flights - wanted.validation - wanted.test)]
 
     def one(point: dict[str, Any], folder: Path) -> Path:
         try:
@@ -80,7 +82,13 @@ def _trainer(scenario: Scenario) -> Any:
     from testbed.data.registry import estimator_class
 
     for entry in scenario.estimators:
-        if (trainer := getattr(estimator_class(entry.name), "train", None)) is not None:
+        kind = estimator_class(entry.name)
+        if (trainer := getattr(kind, "train", None)) is not None:
+            for package, extra in getattr(kind, "needed_to_train", {}).items():
+                if importlib.util.find_spec(package) is None:
+                    raise MissingExtra(
+                        f"training {entry.name} needs the package {package}: pip install 'navigation-testbed[{extra}]'"
+                    )
             return trainer
     raise InputError(f"{scenario.source_path}: none of its estimators is trained beforehand")
 

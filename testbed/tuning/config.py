@@ -30,7 +30,9 @@ class CaseConfig(Table):
     """``[[extra.tune.cases]]``: the scenario with some settings changed; the objective is the sum over the cases."""
 
     name: str
+    """As the tables call it."""
     set: dict[str, Any] = {}
+    """Settings by their dotted keys, as ``--set`` takes them."""
 
 
 class PaperRow(Table):
@@ -41,6 +43,7 @@ class PaperRow(Table):
     statistic: str = ""
     """``min``, ``max``, ``mean``, ``variance``"""
     values: dict[str, float]
+    """The figure of each algorithm by its name."""
 
 
 class TuneConfig(Table):
@@ -49,13 +52,17 @@ class TuneConfig(Table):
     estimator: str = ""
     """Label of the row of ``[[estimators]]`` to be tuned; default: the first. Its own params stay where none is searched."""
     algorithms: list[str] = list(PAPER)
+    """What searches: ga, pso, ipo, mipo, sipo, iipo, cma-es, de."""
     iterations: list[Count] = [100]
+    """A search for each number of iterations."""
     population: Annotated[int, Field(ge=2)] = 50
+    """Candidates per iteration."""
     seeds: list[Run] = [1]
     """One search per algorithm, number of iterations and seed."""
     metrics: list[str] = RMSE_METRICS
     """The objective is their sum, over the cases, averaged over the runs."""
     window: str = "all"
+    """Over which the metrics are taken."""
     train_runs: Annotated[list[Run], Field(min_length=1)] = [0]
     """Monte Carlo runs that the search sees."""
     test_runs: list[Run] = []

@@ -25,11 +25,17 @@ class AxisConfig(Table):
     """``[[extra.tune.space]]``: one parameter; what is left out comes from the estimator's ``parameter_space``."""
 
     name: str
+    """The parameter."""
     size: int | None = Field(default=None, ge=1)
+    """How many numbers it has, where it is a list."""
     low: float | None = None
+    """Least value that is searched."""
     high: float | None = None
+    """Greatest value that is searched."""
     axis: Literal["linear", "log"] | None = None
+    """Whether the search steps by differences or by ratios."""
     squared: bool = False
+    """Whether the limits are those of the parameter's square, a variance."""
 
 
 @dataclass(frozen=True)

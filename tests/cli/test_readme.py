@@ -1,8 +1,9 @@
-"""The README keeps its word: every command and code block runs, in order, in one empty folder, and prints what is pasted.
+"""README and documentation keep their word: every command and code block of a page runs, in order, in a folder of its own, and
+prints what is pasted.
 
 A block is left out only behind a comment ``<!-- not run: reason -->``, or ``<!-- needs TOOL -->`` where that program is not
 installed; ``<!-- file: NAME -->`` writes it to a file. What
-the README does at length is done here in short: few runs in one process, no figures (`test_report` draws them).
+the pages do at length is done here in short: few runs in one process, no figures (`test_report` draws them).
 """
 
 import contextlib
@@ -21,7 +22,15 @@ from testbed import cli
 from testbed.data import registry
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+DOCS = ROOT / "docs"
+PAGES = {
+    path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+    for path in (ROOT / "README.md", *sorted(DOCS.glob("**/*.md")))
+    if "auto_gallery" not in path.parts
+}
+RUN = [
+    name for name, text in PAGES.items() if re.search(r"^```(?:sh|python)$", text, re.M) and "contributing" not in name
+]
 SHORTER = {
     "duration_s=21600.0": "duration_s=1800.0",
     "--cap 200": "--cap 2",
@@ -38,7 +47,7 @@ NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block with its language, the comment right above it, and its line in the README."""
+    """A fenced block with its language, the comment right above it, and its line in the page."""
 
     language: str
     body: str
@@ -46,11 +55,11 @@ class Block:
     line: int
 
 
-def blocks() -> list[Block]:
-    fence = re.compile(r"(?:<!-- (?P<comment>[^>]*) -->\n)?```(?P<language>\w*)\n(?P<body>.*?)```\n", re.S)
+def blocks(text: str) -> list[Block]:
+    fence = re.compile(r"(?:<!-- (?P<comment>[^>]*) -->\n)?```(?P<language>[\w{}]*)[^\n]*\n(?P<body>.*?)```\n", re.S)
     return [
-        Block(m["language"], m["body"], m["comment"] or "", TEXT[: m.start("body")].count("\n"))
-        for m in fence.finditer(TEXT)
+        Block(m["language"], m["body"], m["comment"] or "", text[: m.start("body")].count("\n"))
+        for m in fence.finditer(text)
     ]
 
 
@@ -78,21 +87,28 @@ def shape(line: str) -> str:
     return " ".join(NUMBER.sub("#", re.sub("[─-╿]", " ", line)).split())
 
 
-def check_output(block: Block, output: str) -> None:
+def check_output(page: str, block: Block, output: str) -> None:
     printed = [shape(line) for line in output.splitlines()]
     for line in block.body.splitlines():
         parts = [shape(part) for part in line.split("…")]
         found = any(all(part in candidate for part in parts) for candidate in printed)
-        assert found, f"README line {block.line}: not printed: {line}\n{output}"
+        assert found, f"{page}, line {block.line}: not printed: {line}\n{output}"
 
 
-def test_every_block_runs_and_prints_what_is_pasted(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    """Flights of one page serve the next."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.mark.parametrize("page", RUN)
+def test_every_block_runs_and_prints_what_is_pasted(page, tmp_path, monkeypatch, cache):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("TESTBED_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("TESTBED_CACHE", str(cache))
     monkeypatch.setattr("testbed.report.figures.drawings", lambda _result: {})
     namespace: dict[str, object] = {}
     output = ""
-    for block in blocks():
+    for block in blocks(PAGES[page]):
         body = block.body
         for long, short in SHORTER.items():
             body = body.replace(long, short)
@@ -102,7 +118,7 @@ def test_every_block_runs_and_prints_what_is_pasted(tmp_path, monkeypatch):
         if block.comment.startswith("file: "):
             Path(block.comment.removeprefix("file: ")).write_text(body, encoding="utf-8")
         elif block.language == "python":
-            exec(compile(body, f"README.md, line {block.line}", "exec"), namespace)
+            exec(compile(body, f"{page}, line {block.line}", "exec"), namespace)
         elif block.language == "sh":
             output = ""
             for line in body.splitlines():
@@ -112,40 +128,52 @@ def test_every_block_runs_and_prints_what_is_pasted(tmp_path, monkeypatch):
                 code, said = command_line(line)
                 expected = re.search(r"# exit code (\d)", line)
                 if not line.startswith("testbed compare"):
-                    assert code == (int(expected[1]) if expected else 0), f"README: {line}\n{said}"
+                    assert code == (int(expected[1]) if expected else 0), f"{page}: {line}\n{said}"
                 output += said
         elif block.language == "text":
             if not block.comment.startswith("not compared: "):
-                check_output(block, output)
+                check_output(page, block, output)
         else:
-            assert block.language in ("", "bibtex"), (
-                f"README line {block.line}: nothing runs a block of {block.language}"
+            assert block.language in ("", "bibtex") or block.language.startswith("{"), (
+                f"{page}, line {block.line}: nothing runs a block of {block.language}"
             )
 
 
-def test_the_two_commands_that_need_no_set_up_exist():
+@pytest.mark.parametrize("page", PAGES)
+def test_targets_of_make_exist(page):
     targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
-    for target in re.findall(r"(?:^|`)make (\w+)", TEXT, re.M):
+    for target in re.findall(r"(?:^|`)make (\w+)", PAGES[page], re.M):
         assert target in targets
 
 
-def test_links_lead_somewhere():
-    """Links into ``reports/`` are made by ``make reports``."""
-    for target in re.findall(r"\]\(([^)#:]+)\)", TEXT):
-        assert target.startswith("reports/") or (ROOT / target).exists(), target
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page):
+    """Files beside the page, and pages of the documentation; those that a build writes are checked by the build."""
+    folder = (ROOT / page).parent
+    for target in re.findall(r"\]\(([^)#:]+)[^):]*\)", PAGES[page]):
+        assert (folder / target).exists(), target
+    for target in re.findall(r"\{doc\}`(?:[^`<]*<)?([^`>]+)>?`", PAGES[page]):
+        file = (DOCS / target.lstrip("/") if target.startswith("/") else folder / target).with_suffix("")
+        made = any(part in target for part in ("generated/", "auto_gallery/"))
+        assert made or any(file.with_name(file.name + end).exists() for end in (".md", ".rst")), target
+
+
+def test_the_readme_stays_short():
+    assert len(PAGES["README.md"].splitlines()) <= 200
 
 
 def test_every_shipped_scenario_has_a_row():
     for path in (ROOT / "scenarios").glob("*.toml"):
-        assert f"| `{path.stem}` |" in TEXT
+        assert f"| `{path.stem}` |" in PAGES["docs/shipped.md"]
 
 
-def test_every_option_in_the_readme_exists():
+@pytest.mark.parametrize("page", PAGES)
+def test_every_option_on_a_page_exists(page):
     """Also of the commands that are not run here."""
     import typer.main
 
     group = typer.main.get_command(cli.app.app)
-    lines = [line for block in blocks() if block.language == "sh" for line in block.body.splitlines()]
+    lines = [line for block in blocks(PAGES[page]) if block.language == "sh" for line in block.body.splitlines()]
     for line in lines:
         words = shlex.split(line, comments=True)
         if words[:1] != ["testbed"]:
@@ -158,7 +186,7 @@ def test_every_option_in_the_readme_exists():
         assert {word for word in words[2:] if word.startswith("--")} <= known, line
 
 
-def test_this_file_leaves_nothing_in_the_repository():
-    """The tour's files belong in its own folder."""
-    for name in ("mine.py", "my_filter.py", "my-flight.toml", "sensors.toml", "recorded.toml", "mine"):
+def test_the_pages_leave_nothing_in_the_repository():
+    """Their files belong in folders of their own."""
+    for name in ("mine.py", "my_filter.py", "my-flight.toml", "sensors.toml", "recorded.toml", "mine", "paper.toml"):
         assert not (ROOT / name).exists()

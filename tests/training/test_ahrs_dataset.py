@@ -11,7 +11,7 @@ import pytest
 from testbed.base.errors import InputError
 from testbed.physics.rotations import quats_to_matrices
 from testbed.scenario import load_scenario
-from testbed.training.dataset import ROWS_PER_GROUP, Shard, make_dataset, open_dataset, write_shard
+from testbed.training.dataset import ROWS_PER_GROUP, Shard, make_dataset, open_dataset, open_split, write_shard
 
 SHORT = {"extra.dataset.duration_s": 31.0}
 
@@ -147,3 +147,87 @@ def test_a_damaged_manifest_is_refused_by_name(tmp_path, content):
     (tmp_path / "manifest.json").write_text(content)
     with pytest.raises(InputError, match=r"manifest\.json: (damaged|not the manifest)"):
         open_dataset(tmp_path)
+
+
+UAV = {
+    "extra.dataset": {"duration_s": 31.0, "test": 1, "manoeuvre_s": [5.0, 10.0]},
+    "sensors.mag": {"model": "ADIS16448", "rate_hz": 10.0},
+    "sensors.baro": {"model": "ADIS16448", "rate_hz": 25.0},
+    "sensors.gnss.outages": [],
+}
+"""The quickstart's aircraft with sensors of other rates than its IMU, 100 Hz."""
+
+
+@pytest.fixture(scope="module")
+def uav(tmp_path_factory):
+    """Four flights: two to train on, one for validation, one that no training sees."""
+    return make_dataset(load_scenario("quickstart", overrides=UAV), tmp_path_factory.mktemp("uav"), flights=4)
+
+
+def test_a_split_is_by_flight_and_test_flights_are_in_no_other(uav):
+    splits = {name: {shard.path.name for shard in open_split(uav, name)} for name in ("train", "validation", "test")}
+    assert [len(files) for files in splits.values()] == [2, 1, 1]
+    assert len(set.union(*splits.values())) == 4
+    assert {shard.path.name for part in open_dataset(uav) for shard in part}.isdisjoint(splits["test"])
+    with pytest.raises(InputError, match="did you mean 'test'"):
+        open_split(uav, "tests")
+
+
+def test_labels_fit_the_motion_and_the_samples(uav):
+    """Position is the integral of velocity: by trapezoids at 100 Hz off by dt²/12 times the change of acceleration, 1e-4 m.
+
+    Gyros at one time are true rate plus bias plus noise, so over 31 s their mean differs from that of the biases by the mean turn
+    rate, which the attitude labels give.
+    """
+    shard = open_split(uav, "train")[0]
+    data = shard.window(0, shard.rows)
+    step = 0.5 * (data["v_n"][1:].astype(float) + data["v_n"][:-1]) * 0.01
+    travelled = data["position"][-1].astype(float) - data["position"][0]
+    np.testing.assert_allclose(
+        step.sum(axis=0), travelled, atol=0.05
+    )  # a curved Earth: 1 km² / 12,700 km = 0.08 m at most
+    assert (
+        np.ptp(data["gyro_bias"], axis=0).max() < 0.01 < np.abs(data["gyro_bias"]).max()
+    )  # rad/s: turn-on, hardly moving
+
+
+def test_sensors_of_other_rates_stand_in_the_rows_of_their_times(uav):
+    """5 Hz, 10 Hz and 25 Hz on rows at 100 Hz: a sample in each 20th, 10th and 4th row, and none between."""
+    shard = open_split(uav, "validation")[0]
+    data = shard.window(0, shard.rows)
+    for name, every in (("gnss", 20), ("mag", 10), ("baro", 4)):
+        rows = np.flatnonzero(np.isfinite(data[name]).all(axis=1))
+        assert set(np.diff(rows)) == {every} and np.isnan(np.delete(data[name], rows, axis=0)).all()
+    fixes = np.isfinite(data["gnss"][:, 0])
+    off = data["gnss"][fixes, :3] - data["position"][fixes]
+    sigma = shard.log().gnss.spec.horizontal_sigma
+    assert abs(off[:, :2].std() / sigma - 1.0) < 0.25  # of 300 values: 4 sigma of a standard deviation are 0.16
+
+
+def test_a_shard_runs_through_a_filter(uav):
+    from testbed.data.registry import make_estimator
+
+    shard = open_split(uav, "test")[0]
+    solution = make_estimator("indirect-kf").run(shard.log())
+    truth = shard.window(shard.rows - 1, 1)["v_n"][0]
+    assert np.abs(solution.v_n[-1] - truth).max() < 1.0  # m/s: the receiver's velocity is good to 0.05
+
+
+def test_windows_feed_a_network_of_torch(uav):
+    torch = pytest.importorskip("torch")
+    from testbed.training.windows import torch_windows
+
+    data = torch_windows(uav, "train", length=200, stride=100, inputs=("gyro", "accel", "gnss"), labels=("v_n", "q_nb"))
+    assert isinstance(data, torch.utils.data.Dataset)
+    x, y = next(iter(torch.utils.data.DataLoader(data, batch_size=4, shuffle=False)))
+    assert x.shape == (4, 200, 12) and y.shape == (4, 200, 7) and x.dtype == torch.float32
+    first = data.shards[0].window(100, 200)
+    np.testing.assert_array_equal(x[1, :, :3], first["gyro"])
+    count = sum((shard.rows - 200) // 100 + 1 for shard in data.shards)
+    assert len(data) == count
+    last = data[len(data) - 1][1]
+    np.testing.assert_array_equal(
+        last[:, 3:], data.shards[1].window(((data.shards[1].rows - 200) // 100) * 100, 200)["q_nb"]
+    )
+    with pytest.raises(InputError, match="has no column group 'lidar'"):
+        torch_windows(uav, "train", inputs=("lidar",))
