@@ -41,7 +41,7 @@ def write_shard(
     import pyarrow as pa
 
     from testbed.data import specs
-    from testbed.scoring.metrics import truth_at
+    from testbed.scoring.error_series import truth_at
 
     t = log.imu.t
     lat, lon, h, v_n, q_nb = truth_at(trajectory, t)

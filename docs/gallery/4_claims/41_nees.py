@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 import testbed
-from testbed.scoring.metrics import truth_at
+from testbed.scoring.error_series import truth_at
 
 RUNS = 12
 trajectory = testbed.fly("quickstart")
