@@ -12,7 +12,6 @@ import os
 import signal
 import sys
 import tempfile
-import threading
 import time
 import types
 from collections.abc import Iterator, Sequence
@@ -21,11 +20,11 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import islice
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from testbed.base.child_processes import can_fork, quietly
+from testbed.base.child_processes import can_fork, end_with_parent, quietly
 from testbed.base.errors import InputError, MissingExtra, TestbedError
 from testbed.base.time_limit import single_threaded, thread_environment
 from testbed.montecarlo.store import encode
@@ -79,17 +78,10 @@ def _start_worker(setup: Setup, heartbeats: str) -> None:
     """Runs once in each process of the pool."""
     global _bench, _heartbeats
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the main process's business
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    end_with_parent()
     _standing.enter_context(single_threaded())
     _bench, _heartbeats = Bench(setup), Path(heartbeats)
     _beat((), "", None)
-
-
-def _die_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        os._exit(1)
 
 
 def _beat(runs: Sequence[int], estimator: str, limit: float | None) -> None:

@@ -372,13 +372,9 @@ def time_series(
     grid = envelope_times(trajectory)
     out: dict[str, Array] = {}
     covered = (grid >= series.t[0] - 1e-6) & (grid <= series.t[-1] + 1e-6)
-    k = metrics.nearest_rows(series.t, grid)
-
-    def sampled(column: Array) -> Array:
-        return np.where(covered, column[k], np.nan).astype(np.float32)
-
+    errors, _ = series.at(metrics.nearest_rows(series.t, grid))
     for i in series.axes():
-        out[AXES[i]] = sampled(series.values[:, i])
+        out[AXES[i]] = np.where(covered, errors[:, i], np.nan).astype(np.float32)
     for name, sigma in details.axis_sigmas(solution, metrics.nearest_rows(solution.t, grid)).items():
         out[f"sigma_{name}"] = np.where(covered, sigma, np.nan).astype(np.float32)
     if len(grid) < 2:
