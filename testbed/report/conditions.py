@@ -45,7 +45,7 @@ def _motion(scenario: Mapping[str, Any]) -> list[tuple[str, str]]:
     laps = f", {flight['laps']} laps" if flight.get("laps", 1) > 1 else ""
     return [
         ("Vehicle", str(vehicle)),
-        ("Script", (str(flight.get("plan") or "") or ", ".join(steps)) + laps),
+        ("Script", ", ".join(steps) + laps),
         ("Wind", _settings(flight.get("wind") or {})),
     ]
 

@@ -1,4 +1,4 @@
-"""Windows of training data for networks: a data set of `testbed.training.dataset` as pairs of inputs and labels.
+"""Windows of training data for networks: a data set of `testbed.training.dataset` as pairs of inputs and labels::
 
     data = torch_windows("results/data", "train", length=200, inputs=("gyro", "accel", "gnss"), labels=("v_n",))
     for x, y in torch.utils.data.DataLoader(data, batch_size=32, shuffle=True):

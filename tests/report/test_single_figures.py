@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from command_line import call
 
+from testbed import pipeline
 from testbed.base.errors import InputError
 from testbed.montecarlo.runner import run
 from testbed.montecarlo.sweep import read_sweep, sweep, write_page
@@ -31,7 +32,8 @@ def result(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    out = tmp_path_factory.mktemp("sweep") / "out"
+    """Its plug-in replaces two functions of the pipeline; they are put back."""
+    out, before = tmp_path_factory.mktemp("sweep") / "out", (pipeline.fly, pipeline.sense)
     sweep(
         lambda o: mc.scenario([mc.GOOD, mc.BAD], runs=4, seed=o["seed"]),
         {"seed": [1, 2, 30]},
@@ -39,6 +41,7 @@ def swept(tmp_path_factory):
         jobs=1,
         plugins=[mc.PLUGIN],
     )
+    pipeline.fly, pipeline.sense = before
     return out
 
 
