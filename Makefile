@@ -8,13 +8,17 @@ CORE := $(VENV)/.core
 STAMP := $(VENV)/.installed
 DOCS := $(VENV)/.docs
 
-.PHONY: demo test lint bench reports docs setup clean
+.PHONY: demo test slow lint bench reports docs setup clean
 
 demo: $(CORE)
 	$(BIN)/testbed run quickstart --out results/quickstart
 
 test: setup
 	$(BIN)/python -m pytest -n 2
+
+# What takes minutes more: every page of the documentation, fresh installations, GNSS at the sizes of its acceptance.
+slow: setup
+	TESTBED_SLOW=1 TESTBED_GNSS=1 $(BIN)/python -m pytest -n 2 tests/cli/test_readme.py tests/test_installed.py tests/gnss
 
 lint: setup
 	$(BIN)/ruff format --check .

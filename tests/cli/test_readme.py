@@ -8,6 +8,7 @@ the pages do at length is done here in short: few runs in one process, no figure
 
 import contextlib
 import io
+import os
 import re
 import shlex
 import shutil
@@ -101,7 +102,11 @@ def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
-@pytest.mark.parametrize("page", RUN)
+QUICK = ("README.md", "docs/start.md", "docs/howto/estimator.md", "docs/howto/policy.md", "docs/howto/sensitivity.md")
+"""Pages of every run of the tests; with TESTBED_SLOW=1 all of them, which takes some minutes."""
+
+
+@pytest.mark.parametrize("page", [page for page in RUN if page in QUICK or "TESTBED_SLOW" in os.environ])
 def test_every_block_runs_and_prints_what_is_pasted(page, tmp_path, monkeypatch, cache):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TESTBED_CACHE", str(cache))
