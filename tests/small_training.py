@@ -28,6 +28,6 @@ class Flight:
 
 
 def trained(flights, folder, resume=False, tell=lambda text: None, filter_params=None, **settings):
-    from estimators.learning.ahrs_training import train
+    from estimators.learning.ahrs_methods import train
 
     return train(flights[:2], flights[2:], folder, SMALL | settings, filter_params, resume, tell)

@@ -373,7 +373,7 @@ def _events(prepared: Prepared, r: Any, signature: Any) -> Events:
         np.ascontiguousarray(prepared.events[:, 0]),
         stacked(prepared.measurements, prepared.events, 1),
         r,
-        np.zeros((0, r.shape[1], r.shape[1])) if prepared.mix is None else prepared.mix,
+        np.zeros((0, *prepared.r.shape[1:] * 2)) if prepared.mix is None else prepared.mix,
         np.array([len(a.channels) for a in aidings], dtype=np.int64),
         np.array([address(a.measure, signature) for a in aidings], dtype=np.int64),
         parameters,

@@ -43,6 +43,6 @@ class AhrsLstm:
     @staticmethod
     def train(*arguments: Any, **settings: Any) -> Path:
         """Train on flights with truth: see `estimators.learning.ahrs_training.train`."""
-        from estimators.learning.ahrs_training import train
+        from estimators.learning.ahrs_methods import train
 
         return train(*arguments, **settings)

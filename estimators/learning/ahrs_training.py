@@ -10,7 +10,6 @@ import csv
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -87,34 +86,6 @@ class Settings:
             raise InputError(
                 "training: window_s >= chunk_s >= step_s > 0, learning_rate > 0, final_rate within (0, 1] are needed"
             )
-
-
-def train(
-    training: Sequence[Any],
-    validation: Sequence[Any],
-    out: str | Path,
-    settings: dict[str, Any] | None = None,
-    filter_params: dict[str, Any] | None = None,
-    resume: bool = False,
-    tell: Callable[[str], None] = print,
-) -> Path:
-    """Train; returns the file of the best weights. ``out`` gets ``ahrs-lstm.safetensors``, ``checkpoint.safetensors``
-    after every epoch, and ``learning-curve.csv``. ``resume`` goes on from the checkpoint.
-    """
-    chosen, kf = Settings(**(settings or {})), AhrsKf(**(filter_params or {}))
-    folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    return _method(chosen.method)(chosen, kf, training, validation, folder, tell).run(resume)
-
-
-def _method(name: str) -> type[Training]:
-    if name == "imitation":
-        from estimators.learning.ahrs_imitation import Imitation
-
-        return Imitation
-    from estimators.learning.ahrs_end_to_end import EndToEnd
-
-    return EndToEnd
 
 
 class Training:

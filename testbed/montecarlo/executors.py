@@ -27,8 +27,9 @@ from typing import Any
 from testbed.base.child_processes import can_fork, end_with_parent, quietly
 from testbed.base.errors import InputError, MissingExtra, TestbedError
 from testbed.base.time_limit import single_threaded, thread_environment
+from testbed.data.registry import estimator_class, load_plugin
 from testbed.montecarlo.store import encode
-from testbed.montecarlo.work_unit import BLOCK, Bench, Setup, UnitResult, lost
+from testbed.montecarlo.work_unit import BLOCK, Bench, Setup, UnitResult, goes_side_by_side, lost
 
 POLL_S = 0.25
 GRACE_S = 5.0
@@ -56,9 +57,18 @@ Block = tuple[int, ...]
 
 
 def blocks_of(setup: Setup, runs: Sequence[int], workers: int) -> list[Block]:
-    """Units of neighbouring runs, as large as may be and yet so that every worker has one."""
-    size = max(1, min(BLOCK, math.ceil(len(runs) / max(1, workers)))) if setup.scenario.monte_carlo.side_by_side else 1
+    """Units of neighbouring runs: as large as may be, and yet so that every worker has one, where anybody filters several at
+    once; of one run each else."""
+    size = max(1, min(BLOCK, math.ceil(len(runs) / max(1, workers)))) if _any_side_by_side(setup) else 1
     return [tuple(runs[k : k + size]) for k in range(0, len(runs), size)]
+
+
+def _any_side_by_side(setup: Setup) -> bool:
+    scenario = setup.scenario
+    for plugin in setup.plugins:
+        load_plugin(plugin)
+    kinds = [estimator_class(entry.name) for entry in scenario.estimators]
+    return scenario.monte_carlo.side_by_side and any(goes_side_by_side(kind) for kind in kinds)
 
 
 def inline(setup: Setup, runs: Sequence[int]) -> Iterator[Finished]:

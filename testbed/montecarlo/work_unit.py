@@ -191,7 +191,7 @@ class Bench:
         try:
             estimator = make_estimator(entry.name, **entry.params)
             many: Any = getattr(estimator, "run_many", None)
-            if not taken or not goes_side_by_side(estimator):
+            if not taken or not goes_side_by_side(type(estimator)):
                 return {}
         except Exception:
             return {}  # `_estimate` says what is wrong
@@ -308,9 +308,9 @@ class Bench:
         return outcome, series
 
 
-def goes_side_by_side(estimator: Any) -> bool:
-    """Whether an estimator's ``run_many`` is as much its own as its ``run``: a class that changes ``run`` alone goes singly."""
-    ancestry = type(estimator).__mro__
+def goes_side_by_side(kind: type) -> bool:
+    """Whether a class's ``run_many`` is as much its own as its ``run``: one that changes ``run`` alone goes singly."""
+    ancestry = kind.__mro__
     owner = {name: next((k for k, c in enumerate(ancestry) if name in vars(c)), None) for name in ("run", "run_many")}
     run, many = owner["run"], owner["run_many"]
     return many is not None and run is not None and many <= run

@@ -336,7 +336,7 @@ def test_shipped_claims_say_whose_they_are():
         assert tomllib.loads(path.read_text())["scenario"]["name"] == name
 
 
-OWN = ("4-final", "4-on-line")
+OWN = ("4-final", "4-on-line", "own-network")
 OWN_SCENARIOS = (
     "quickstart",
     "car-drive",
