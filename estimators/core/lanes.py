@@ -8,24 +8,22 @@ so a result depends neither on the other lanes nor on the place among them, and 
 
 from __future__ import annotations
 
-import math
 import operator
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
-from numba.core import cgutils
+from numba import types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 from numpy.typing import NDArray
 
-from testbed.physics.rotations import half_turn, select
+from testbed.physics.rotations import select
 
 WIDTH = 8
 """Numbers side by side: a cache line of doubles, one AVX-512 register or two of AVX2."""
 LINE = 64
-_VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 
 
 class LanesType(types.Type):
@@ -41,7 +39,7 @@ lanes = LanesType()
 @register_model(LanesType)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _VECTOR)
+        super().__init__(manager, kind, VECTOR)
 
 
 def aligned(rows: int) -> NDArray[np.float64]:
@@ -52,9 +50,9 @@ def aligned(rows: int) -> NDArray[np.float64]:
 
 
 def _splat(builder: Any, number: Any) -> Any:
-    first = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
+    first = builder.insert_element(ir.Constant(VECTOR, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
-    return builder.shuffle_vector(first, ir.Constant(_VECTOR, ir.Undefined), mask)
+    return builder.shuffle_vector(first, ir.Constant(VECTOR, ir.Undefined), mask)
 
 
 def _as_lanes(builder: Any, value: Any, kind: Any) -> Any:
@@ -219,7 +217,7 @@ def _any_of(which):
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, row: Any) -> Any:
     data = context.make_array(array_type)(context, builder, array).data
     first = builder.mul(row, ir.Constant(row.type, WIDTH))
-    return builder.bitcast(builder.gep(data, [first], inbounds=True), _VECTOR.as_pointer())
+    return builder.bitcast(builder.gep(data, [first], inbounds=True), VECTOR.as_pointer())
 
 
 def _is_table(kind: Any) -> bool:
@@ -263,48 +261,6 @@ def splat(typing_context: Any, number: Any) -> Any:
     return lanes(types.float64), generate
 
 
-def _unary(name: str) -> Any:
-    @intrinsic
-    def function(typing_context: Any, value: Any) -> Any:
-        if not isinstance(value, LanesType):
-            return None
-
-        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            kind = ir.FunctionType(_VECTOR, [_VECTOR])
-            return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{WIDTH}f64"), args)
-
-        return lanes(lanes), generate
-
-    return function
-
-
-def _each(name: str) -> Any:
-    """A function of the C library on the lanes one by one: the same bits as on floats."""
-
-    @intrinsic
-    def function(typing_context: Any, value: Any) -> Any:
-        if not isinstance(value, LanesType):
-            return None
-
-        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()])
-            call = cgutils.get_or_insert_function(builder.module, kind, name)
-            out = ir.Constant(_VECTOR, ir.Undefined)
-            for lane in range(WIDTH):
-                at = ir.Constant(ir.IntType(32), lane)
-                out = builder.insert_element(out, builder.call(call, [builder.extract_element(args[0], at)]), at)
-            return out
-
-        return lanes(lanes), generate
-
-    return function
-
-
-_log, _exp = _each("log"), _each("exp")
-_square_root, _magnitude = _unary("sqrt"), _unary("fabs")
-floor = _unary("floor")
-
-
 def as_lanes(x: Any) -> Any:
     """Lanes as they are, a float in each lane."""
     raise NotImplementedError("kernels only")
@@ -333,142 +289,3 @@ def is_zero(x: Any) -> Any:
 @overload(is_zero)
 def _is_zero(x):
     return (lambda x: False) if isinstance(x, LanesType) else lambda x: x == 0.0
-
-
-TERMS = 9
-_SINE = tuple(1.0 / math.factorial(2 * k + 1) for k in range(TERMS))
-_COSINE = tuple(1.0 / math.factorial(2 * k) for k in range(TERMS))
-
-
-@njit(cache=True, nogil=True, forceinline=True)
-def circular(u):
-    """sin(x)/x and cos(x) for u = -x², by their series: exact to rounding up to x = 1, and to 1e-12 up to x = pi / 2."""
-    sine, cosine = splat(_SINE[TERMS - 1]), splat(_COSINE[TERMS - 1])
-    for k in range(TERMS - 2, -1, -1):
-        sine = sine * u + _SINE[k]
-        cosine = cosine * u + _COSINE[k]
-    return sine, cosine
-
-
-@njit(cache=True, nogil=True, forceinline=True)
-def sine_cosine(x):
-    """Through a quarter of the angle, twice doubled: exact to rounding up to 4 rad."""
-    quarter = 0.25 * x
-    sine, cosine = circular(-(quarter * quarter))
-    sine = quarter * sine
-    sine, cosine = 2.0 * (sine * cosine), 1.0 - 2.0 * (sine * sine)
-    return 2.0 * (sine * cosine), 1.0 - 2.0 * (sine * sine)
-
-
-_ATAN = (-0.8750608600031904, -16.157537187333652, -75.00855792314705, -122.88666844901361, -64.85021904942025)
-_ATAN_BELOW = (24.858464901423062, 165.02700983169885, 432.88106049129027, 485.3903996359137, 194.5506571482614)
-"""Rational approximation of arctan up to 0.66 (Moshier, *Cephes*): x + x z P(z) / Q(z), z = x²."""
-
-
-@njit(cache=True, nogil=True, forceinline=True)
-def arctangent(y, x):
-    """Angle of (x, y) in all quadrants, to the last digit or two; 0 where both are zero."""
-    along, across = abs(x), abs(y)
-    steep = across > along
-    small, large = select(steep, along, across), select(steep, across, along)
-    large = select(large > 0.0, large, 1.0)
-    eighth = small > 0.41421356237309503 * large
-    ratio = select(eighth, small - large, small) / select(eighth, small + large, large)
-    z = ratio * ratio
-    above = (((_ATAN[0] * z + _ATAN[1]) * z + _ATAN[2]) * z + _ATAN[3]) * z + _ATAN[4]
-    below = ((((z + _ATAN_BELOW[0]) * z + _ATAN_BELOW[1]) * z + _ATAN_BELOW[2]) * z + _ATAN_BELOW[3]) * z + _ATAN_BELOW[
-        4
-    ]
-    angle = ratio + ratio * (z * above / below)
-    angle = select(eighth, 0.25 * np.pi + angle, angle)
-    angle = select(steep, 0.5 * np.pi - angle, angle)
-    angle = select(x < 0.0, np.pi - angle, angle)
-    return select(y < 0.0, -angle, angle)
-
-
-@overload(np.sin)
-def _sin(x):
-    if isinstance(x, LanesType):
-        return lambda x: sine_cosine(x)[0]
-    return None
-
-
-@overload(np.cos)
-def _cos(x):
-    if isinstance(x, LanesType):
-        return lambda x: sine_cosine(x)[1]
-    return None
-
-
-@overload(np.sqrt)
-def _sqrt(x):
-    if isinstance(x, LanesType):
-        return lambda x: _square_root(x)
-    return None
-
-
-@overload(np.arctan2)
-def _arctan2(y, x):
-    if isinstance(y, LanesType):
-        return lambda y, x: arctangent(y, x)
-    return None
-
-
-@overload(np.hypot)
-def _hypot(x, y):
-    if isinstance(x, LanesType):
-        return lambda x, y: _square_root(x * x + y * y)
-    return None
-
-
-@overload(np.tan)
-def _tan(x):
-    if isinstance(x, LanesType):
-
-        def tangent(x):
-            sine, cosine = sine_cosine(x)
-            return sine / cosine
-
-        return tangent
-    return None
-
-
-@overload(np.log)
-def _logarithm(x):
-    return (lambda x: _log(x)) if isinstance(x, LanesType) else None
-
-
-@overload(np.exp)
-def _exponential(x):
-    return (lambda x: _exp(x)) if isinstance(x, LanesType) else None
-
-
-@overload(abs)
-def _abs(x):
-    return (lambda x: _magnitude(x)) if isinstance(x, LanesType) else None
-
-
-@overload(np.mod)
-def _mod(x, period):
-    if isinstance(x, LanesType) and not isinstance(period, LanesType):
-        return lambda x, period: x - floor(x * (1.0 / period)) * period
-    return None
-
-
-@overload(half_turn)
-def _half_turn(square):
-    if isinstance(square, LanesType):
-
-        def series(square):
-            sine, cosine = circular(-0.25 * square)
-            return cosine, 0.5 * sine
-
-        return series
-    return None
-
-
-@overload(operator.pow)
-def _power(x, exponent):
-    if isinstance(x, LanesType) and isinstance(exponent, types.IntegerLiteral) and exponent.literal_value == 2:
-        return lambda x, exponent: x * x
-    return None
