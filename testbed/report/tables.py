@@ -202,7 +202,11 @@ def timings(result: Result) -> Table | None:
             ]
             rows.append((label, cells))
     return Table(
-        "timings", "Computation time", columns, rows, "Time spent inside the estimator on this machine, one thread."
+        "timings",
+        "Computation time",
+        columns,
+        rows,
+        "Time spent inside the estimator on this machine, one thread; of one that takes several runs side by side, each run's share.",
     )
 
 
