@@ -63,9 +63,8 @@ def update_considering(x, p, residual, h, r, scalars, scratch, estimated):
             if estimated is not None:
                 gain = gain * estimated[i]
             scratch[1, i] = gain
-            scratch[2, i] = scratch[0, i] - 0.5 * variance * gain
             scratch[3, i] = scratch[3, i] + gain * left
-        _joseph(p, n, scratch)
+        _joseph(p, h, a, r[a], scratch)
     for i in range(n):
         x[i] = x[i] + scratch[3, i]
 
@@ -84,17 +83,30 @@ def _product(p, h, a, scratch, row):
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def _joseph(p, n, scratch):
-    """P = (I - K h) P (I - K h)' + K r K' for one scalar measurement, whatever the gain K.
+def _joseph(p, h, a, variance, scratch):
+    """P = (I - K h) P (I - K h)' + K r K' for one scalar measurement, whatever the gain K; scratch: P h', K, then free.
 
-    With S = h P h' + r and c = P h' - K S / 2, which are rows 1 and 2 of scratch, that is P - K c' - c K': the same form
-    multiplied out, one pass over P, and symmetric to the last bit, as the two products only change places.
+    In two passes, the second over what the first left of P h'. Multiplied out into one, P - K c' - c K', the rounding of
+    what cancels stays in P, and a strongly tracking filter, whose fixes take off seven digits, loses its positivity.
     """
+    n = h.shape[1]
     for i in range(n):
-        gain, rest = scratch[1, i], scratch[2, i]
+        gain = scratch[1, i]
         for j in range(n):
-            change = gain * scratch[2, j] + rest * scratch[1, j]
-            p[i, j] = p[i, j] - change
+            p[i, j] = p[i, j] - gain * scratch[0, j]
+    for i in range(n):
+        scratch[2, i] = 0.0
+    for j in range(n):
+        weight = h[a, j]
+        if not is_zero(weight):
+            for i in range(n):
+                scratch[2, i] = scratch[2, i] + weight * p[i, j]
+    for i in range(n):
+        rest = variance * scratch[1, i] - scratch[2, i]
+        for j in range(i + 1):
+            value = p[i, j] + rest * scratch[1, j]
+            p[i, j] = value
+            p[j, i] = value
 
 
 @njit(cache=True, nogil=True, _nrt=False)
