@@ -59,7 +59,8 @@ def sensitivity_command(
     """Which figures of a data sheet decide a metric: Morris screening and Sobol indices, with intervals."""
     from testbed.montecarlo.runner import with_settings
     from testbed.sensitivity.factors import parse_factor
-    from testbed.sensitivity.study import Question, sensitivity
+    from testbed.sensitivity.question import Question
+    from testbed.sensitivity.study import sensitivity
 
     load_plugins(plugin)
     loaded = loader(scenario, profile, variant, settings, seed)({})

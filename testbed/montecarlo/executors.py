@@ -27,7 +27,7 @@ from typing import Any
 from testbed.base.child_processes import can_fork, end_with_parent, quietly
 from testbed.base.errors import InputError, MissingExtra, TestbedError
 from testbed.base.time_limit import single_threaded, thread_environment
-from testbed.data.registry import estimator_class, load_plugin
+from testbed.data.registry import estimator_class
 from testbed.montecarlo.store import encode
 from testbed.montecarlo.work_unit import BLOCK, Bench, Setup, UnitResult, goes_side_by_side, lost
 
@@ -65,8 +65,6 @@ def blocks_of(setup: Setup, runs: Sequence[int], workers: int) -> list[Block]:
 
 def _any_side_by_side(setup: Setup) -> bool:
     scenario = setup.scenario
-    for plugin in setup.plugins:
-        load_plugin(plugin)
     kinds = [estimator_class(entry.name) for entry in scenario.estimators]
     return scenario.monte_carlo.side_by_side and any(goes_side_by_side(kind) for kind in kinds)
 

@@ -25,11 +25,11 @@ from testbed.base.errors import InputError, TestbedError
 from testbed.base.time_limit import TimeLimitError, time_limit
 from testbed.data.records import Array, NavSolution, SensorErrors, SensorLog, Trajectory
 from testbed.data.registry import load_plugin, make_estimator
-from testbed.data.shapes import gaps_of
 from testbed.montecarlo import first_run as details
 from testbed.scenario import EstimatorConfig, Scenario
 from testbed.scenario.windows import Window
 from testbed.scoring import metrics
+from testbed.scoring.judged import judge
 from testbed.scoring.quantities import AXES
 
 ENVELOPE_POINTS = 600
@@ -281,30 +281,21 @@ class Bench:
         self, sensed: Sensed, outcome: Outcome, solution: NavSolution
     ) -> tuple[Outcome, metrics.ErrorSeries | None]:
         """Add the rows and series of a solution to the result; a diverged one adds none."""
-        row, result = outcome.estimator, sensed.result
-        trajectory, log, errors, windows = sensed.trajectory, sensed.log, sensed.errors, sensed.windows
+        row, result, limit = outcome.estimator, sensed.result, self.setup.scenario.monte_carlo.divergence_position_m
+        try:
+            judged = judge(solution, sensed.trajectory, sensed.log, sensed.errors, sensed.windows, limit)
+        except Exception as error:
+            reason = f"its solution cannot be scored: {_reason(error)}"
+            return Outcome(row, f"failed: {reason}", reason, outcome.seconds, outcome.samples), None
+        series = judged.series
+        if judged.lost:
+            reason = judged.lost + _degrees_hint(solution)
+            diverged = Outcome(row, "diverged", reason, outcome.seconds, outcome.samples)
+            return diverged, series if len(series.t) else None
+        result.rows += [(row, *r) for r in judged.rows]
         with np.errstate(all="ignore"):
-            try:
-                span = max(trajectory.t[0], log.imu.t[0]), min(trajectory.t[-1], log.imu.t[-1])
-                if gap := metrics.coverage(solution, *span, gaps_of(log.imu.t)):
-                    raise InputError(gap)
-                series = metrics.error_series(trajectory, solution)
-                reason = metrics.divergence(series, self.setup.scenario.monte_carlo.divergence_position_m)
-                if reason:
-                    reason += _degrees_hint(solution)
-                    return Outcome(row, "diverged", reason, outcome.seconds, outcome.samples), series if len(
-                        series.t
-                    ) else None
-                tests = metrics.consistency(series, solution, errors)
-                rows = metrics.score_rows(series, tests, windows)
-                if log.gnss is not None:
-                    rows += metrics.gnss_rows(solution, log.gnss, windows)
-            except Exception as error:
-                reason = f"its solution cannot be scored: {_reason(error)}"
-                return Outcome(row, f"failed: {reason}", reason, outcome.seconds, outcome.samples), None
-        result.rows += [(row, *r) for r in rows]
-        for name, values in time_series(series, solution, tests, trajectory).items():
-            result.series[row, name] = values
+            found = time_series(series, solution, judged.tests, sensed.trajectory)
+        result.series |= {(row, name): values for name, values in found.items()}
         return outcome, series
 
 
@@ -366,7 +357,7 @@ def envelope_times(trajectory: Trajectory) -> Array:
 
 
 def time_series(
-    series: metrics.ErrorSeries, solution: NavSolution, tests: dict[str, metrics.Consistency], trajectory: Trajectory
+    series: metrics.ErrorSeries, solution: NavSolution, tests: Mapping[str, metrics.Consistency], trajectory: Trajectory
 ) -> dict[str, Array]:
     """Float32 series at `envelope_times`: errors, ``sigma_`` of each, and sums of each test, ``dof_``, ``count_``."""
     grid = envelope_times(trajectory)

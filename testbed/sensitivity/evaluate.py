@@ -104,7 +104,7 @@ class Evaluator:
                 with np.errstate(all="ignore"):
                     solution = make_estimator(entry.name, **entry.params).run(log)
                 limit = scenario.monte_carlo.divergence_position_m
-                reason, rows = judge(solution, truth, log, errors, chosen, limit)
+                reason, rows, *_ = judge(solution, truth, log, errors, chosen, limit)
             except MemoryError:
                 raise
             except Exception as error:  # a plug-in may raise anything, and loses this run only

@@ -11,7 +11,6 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import testbed
@@ -20,35 +19,16 @@ from testbed.montecarlo.folders import Folder, check_own
 from testbed.montecarlo.runner import git_revision
 from testbed.montecarlo.store import files_digest
 from testbed.scenario import Scenario
-from testbed.scoring.quantities import MAIN, metric_names
-from testbed.sensitivity.design import METHODS, MORRIS, Design, make_design
+from testbed.scoring.quantities import metric_names
+from testbed.sensitivity.design import Design, make_design
 from testbed.sensitivity.evaluate import Model, cells_of, evaluate
-from testbed.sensitivity.factors import Factor, check_factors
+from testbed.sensitivity.factors import check_factors
+from testbed.sensitivity.question import Question
 from testbed.sensitivity.store import AGAIN, Evaluations
 
 KIND = "testbed sensitivity"
 Progress = Callable[[str, int, int], None]
 """Called with the method, the points done and the points wanted."""
-
-
-@dataclass(frozen=True)
-class Question:
-    """What is asked: the influence of ``factors`` on ``metrics`` in ``windows``, by which methods, how closely."""
-
-    factors: tuple[Factor, ...]
-    metrics: tuple[str, ...] = (f"rmse_{MAIN[0]}",)
-    windows: tuple[str, ...] = ("all",)
-    methods: tuple[str, ...] = METHODS
-    samples: int = 256
-    """Base samples of Sobol, each of (figures + 2) points: the half width of a first-order index is then about 2 / sqrt(256), 0.12."""
-    trajectories: int = 20
-    """Of Morris, each of (figures + 1) points: the half width of a mean effect is then 2 / sqrt(20) of its scatter, 0.45 sigma."""
-    runs: int = 8
-    """Noise seeds, the same at every point. What they leave is told as a share of the variance, and lies in the intervals."""
-
-    def groups(self, method: str) -> int:
-        """How many groups of points a method draws."""
-        return self.trajectories if method == MORRIS else self.samples
 
 
 class Stopped(TestbedError):

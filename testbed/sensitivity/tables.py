@@ -22,12 +22,11 @@ from testbed.sensitivity.design import MORRIS, SOBOL, Design
 from testbed.sensitivity.evaluate import Cell
 from testbed.sensitivity.factors import Factor
 from testbed.sensitivity.indices import indices, names, noise_share
+from testbed.sensitivity.question import Question
 from testbed.sensitivity.store import Evaluations
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from testbed.sensitivity.study import Question
 
 Found = tuple[Design, Evaluations]
 """A plan and its values."""

@@ -226,7 +226,9 @@ def test_time_to_compile_is_not_time_to_compute(tmp_path):
 
 def test_closing_a_pool_before_its_first_unit_ends_its_workers():
     """Ctrl-C may come while the tables' modules load, before anyone has asked for a unit."""
-    pool = executors.Pool(runner.plan(mc.scenario([mc.GOOD], runs=4), plugins=[mc.PLUGIN]), 2)
+    setup = runner.plan(mc.scenario([mc.GOOD], runs=4), plugins=[mc.PLUGIN])
+    runner.prepare(setup)
+    pool = executors.Pool(setup, 2)
     units = pool.run(range(4))
     assert pool._executor is not None
     workers = list(pool._executor._processes.values())

@@ -16,7 +16,8 @@ from testbed.base.errors import InputError
 from testbed.sensitivity.design import make_design
 from testbed.sensitivity.factors import Factor, parse_factor
 from testbed.sensitivity.indices import indices, noise_share
-from testbed.sensitivity.study import Question, Stopped, sensitivity
+from testbed.sensitivity.question import Question
+from testbed.sensitivity.study import Stopped, sensitivity
 
 pytest.importorskip("SALib", reason="needs the extra 'sensitivity'")
 
