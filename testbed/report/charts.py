@@ -18,6 +18,7 @@ from testbed.report.headline import Headline
 from testbed.report.labels import DASHES, component_label
 from testbed.report.results import Result, thin
 from testbed.report.traces import (
+    INK,
     Figure,
     Phases,
     Spans,
@@ -33,7 +34,6 @@ from testbed.report.traces import (
 from testbed.scoring.quantities import GROUPS, MAIN, axis_title, metric_label, quantity_label
 
 POINTS = 900  # per line
-INK = -1
 
 
 def ground_track(

@@ -11,6 +11,7 @@ import pandas as pd
 from testbed.report import over_time
 from testbed.report.results import Result, thin
 from testbed.report.traces import (
+    INK,
     Figure,
     Phases,
     Spans,
@@ -25,7 +26,6 @@ from testbed.scoring.quantities import quantity_label, unit
 
 POINTS = 500
 SHOWN = ("position_2d_m", "position_3d_m", "velocity_3d_mps")
-INK = -1
 
 
 def charts(result: Result, colours: Mapping[str, int], first: str) -> dict[str, dict[str, Any]]:

@@ -10,11 +10,11 @@ import pandas as pd
 
 from testbed.report.results import thin
 from testbed.report.satellites import EXCLUDED, epochs, step_of, system_of, with_gaps
-from testbed.report.traces import Figure, Phases, Spans, panel_axis, stacked_panels, trace_line
+from testbed.report.traces import INK, Figure, Phases, Spans, panel_axis, stacked_panels, trace_line
 
 POINTS = 300
 """Per satellite, of which there may be thirty."""
-INK, GPS, OTHER, WRONG = -1, 0, 2, 1
+GPS, OTHER, WRONG = 0, 2, 1
 """Colours, as numbers of the palette."""
 
 

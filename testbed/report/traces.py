@@ -13,6 +13,8 @@ import numpy as np
 from testbed.report.labels import DASHES
 from testbed.scoring.quantities import axis_title
 
+INK = -1
+"""Colour of what is true or bounds, in place of an estimator's number."""
 Figure = dict[str, Any]
 Spans = Sequence[tuple[float, float]]
 Phases = Sequence[tuple[str, float, float]]
