@@ -27,7 +27,7 @@ KEPT = 3
 IN_USE_S = 3600.0
 """A folder used within the last hour stays as well: a process of earlier sources may still compile."""
 _KERNELS = re.compile(
-    rb"^from numba[\w.]* import [^\n]*\b(?:njit|cfunc|overload|intrinsic)\b"
+    rb"^from (?:numba|testbed\.kernels)[\w.]* import [^\n]*\b(?:njit|cfunc|overload|intrinsic)\b"
     rb"|^from estimators\.core\.timeline import [^\n]*\binner\b",
     re.M,
 )

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-BASIC = {"base", "physics", "data", "features"}
+BASIC = {"base", "physics", "data", "features", "kernels"}
 """Packages of ``testbed`` that an estimator may import; ``features`` for its training."""
 
 

@@ -54,7 +54,7 @@ class Aiding:
     """Blocks without which it makes no sense."""
     summary: str = ""
     in_lanes: bool = False
-    """Whether runs may be filtered side by side (`estimators.core.tables`): ``measure`` does not branch on numbers, and the
+    """Whether runs may be filtered side by side (`testbed.kernels.tables`): ``measure`` does not branch on numbers, and the
     times of its measurements follow from the times of the log, not from what was felt."""
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
 from estimators.aiding.standstill import stops
@@ -18,6 +17,7 @@ from estimators.core.model import attitude, triple
 from estimators.policies import positive
 from testbed.base.errors import InputError
 from testbed.data.records import SensorLog
+from testbed.kernels import njit
 from testbed.physics import earth
 from testbed.physics.rotations import cross, matrix_rotate, quat_to_matrix
 

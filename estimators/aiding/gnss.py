@@ -7,13 +7,13 @@ velocity is that over ground, what the Earth turns under it.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
 from estimators.core.lever_arm import lever_arm
 from estimators.core.model import attitude, triple
 from testbed.base.errors import InputError
 from testbed.data.records import GnssFixes, SensorLog
+from testbed.kernels import njit
 from testbed.physics import earth
 from testbed.physics.rotations import cross, matrix_rotate, quat_to_matrix
 

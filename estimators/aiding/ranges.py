@@ -7,7 +7,6 @@ still help. u: unit vector from the antenna to the satellite. SI units and radia
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from estimators.aiding import ABSENT, Aiding, Array, Columns, Measurements, add_aiding
 from estimators.blocks.satellites import loop_time, observations, remembered
@@ -17,6 +16,7 @@ from testbed.base.errors import InputError
 from testbed.data.observations import GnssObservations
 from testbed.data.records import SensorLog
 from testbed.data.satellites import GALILEO, GPS
+from testbed.kernels import njit
 from testbed.physics import earth
 from testbed.physics.delays import iono_mapping, iono_tilt, tropo_mapping
 from testbed.physics.ecef import geodetic_to_ecef, north_east_down

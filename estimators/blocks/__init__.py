@@ -56,7 +56,7 @@ class Block:
     follows_imu: bool = False
     """Whether ``couple`` depends on the sample and must be called with each of them."""
     in_lanes: bool = False
-    """Whether such a ``couple`` takes `estimators.core.tables`, too: it does not branch on numbers."""
+    """Whether such a ``couple`` takes `testbed.kernels.tables`, too: it does not branch on numbers."""
     summary: str = ""
     chain: tuple[tuple[int, int], ...] = ()
     """Pairs of states of which the first is the integral of the second; both keep their value otherwise."""

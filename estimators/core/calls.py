@@ -11,11 +11,12 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import cfunc, njit, types
+from numba import types
 from numba.core.errors import NumbaWarning
 from numba.extending import intrinsic
 
-from estimators.core.tables import TableType
+from testbed.kernels import cfunc, njit
+from testbed.kernels.tables import TableType
 
 
 def array(dimensions: int) -> types.Array:

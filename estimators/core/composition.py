@@ -33,7 +33,6 @@ from estimators.core.model import (
 from estimators.core.parts import find_aiding, find_block, find_policy
 from estimators.core.propagate import NAV, Coupling, make_covariance, make_covariances
 from estimators.core.recording import Recording, empty_recording
-from estimators.core.tables import side_by_side, zeros
 from estimators.core.timeline import Timeline, make_timeline, walk
 from estimators.policies import Policy
 from testbed.base.errors import InputError, nearest
@@ -45,6 +44,7 @@ from testbed.data.records import (
     NavSolution,
     SensorLog,
 )
+from testbed.kernels.tables import side_by_side, zeros
 
 Array = NDArray[np.float64]
 

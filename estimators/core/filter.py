@@ -7,11 +7,9 @@ Groves, 2nd ed., chapters 5 and 14. Kernels only, on floats or lanes, that work 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numba.extending import overload
 
 from estimators.core.calls import NOTHING, call_couple, call_couple_lanes, call_measure, call_measure_lanes, call_policy
-from estimators.core.lanes import is_zero
 from estimators.core.model import AUX, INVARIANT, REJECTED, Model, attitude, is_single, put_triple, scaled, triple
 from estimators.core.nav_errors import coefficients
 from estimators.core.postponed import catch_up, postpone
@@ -28,6 +26,8 @@ from estimators.core.recording import Recording, note_sample, note_update
 from estimators.core.strapdown import advance, compensate, coning_sculling
 from estimators.core.timeline import INLINED, inner, steps
 from estimators.core.update import innovation_covariance, update_considering
+from testbed.kernels import njit
+from testbed.kernels.lanes import is_zero
 from testbed.physics import earth
 from testbed.physics.rotations import (
     cross,

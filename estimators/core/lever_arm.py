@@ -5,8 +5,7 @@ Groves, 2nd ed., eq. 14.110 and 14.111; SI units, b and n. The velocity is that 
 
 from __future__ import annotations
 
-from numba import njit
-
+from testbed.kernels import njit
 from testbed.physics import earth
 from testbed.physics.rotations import cross, matrix_rotate
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
 from estimators.core.propagate import Coupling, Scratch
+from testbed.kernels import njit
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ velocity and attitude (C_est = exp([phi x]) C_true) in n. SI units and radians. 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from testbed.kernels import njit
 from testbed.physics import earth
 
 

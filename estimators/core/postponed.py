@@ -10,12 +10,13 @@ what `propagate` computes sample by sample, but for rounding. e: eager, the firs
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 
-from estimators.core.lanes import WIDTH, load, splat, store
 from estimators.core.propagate import NAV, moved, store_errors
 from estimators.core.timeline import INLINED
+from testbed.kernels import njit
+from testbed.kernels.lanes import WIDTH, load, splat, store
 
 
 def postpone(p, scratch, coupling, drive, motion, dt):

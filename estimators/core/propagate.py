@@ -12,13 +12,14 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from estimators.core.lanes import WIDTH, aligned, load, splat, store
 from estimators.core.nav_errors import nav_errors
-from estimators.core.tables import side_by_side
+from testbed.kernels import njit
+from testbed.kernels.lanes import WIDTH, aligned, load, splat, store
+from testbed.kernels.tables import side_by_side
 
 NAV = 9
 """Errors of position, velocity and attitude, which every covariance begins with."""

@@ -12,18 +12,18 @@ from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.composition import Composition, Prepared, imu_of, make_lanes, make_timeline_of, prepare
-from estimators.core.lanes import WIDTH
 from estimators.core.recording import keeper
-from estimators.core.tables import Table, zeros
 from estimators.core.timeline import walk
 from testbed.base.errors import InputError
 from testbed.data.records import SensorLog, Trajectory
+from testbed.kernels import njit
+from testbed.kernels.lanes import WIDTH, select
+from testbed.kernels.tables import Table, zeros
 from testbed.physics import earth
-from testbed.physics.rotations import quat_to_euler, quats_to_eulers, select, wrap
+from testbed.physics.rotations import quat_to_euler, quats_to_eulers, wrap
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from estimators.core.composition import Prepared, make_lanes, make_recording, make_timeline_of, solution_of
 from estimators.core.heading_bank import run_or_search
-from estimators.core.lanes import WIDTH
 from estimators.core.recording import Recording
-from estimators.core.tables import of_lane, spread, zeros
 from estimators.core.timeline import require_one_timeline, walk
 from testbed.base.errors import InputError
 from testbed.data.records import NavSolution
+from testbed.kernels.lanes import WIDTH
+from testbed.kernels.tables import of_lane, spread, zeros
 
 
 def run_side_by_side(prepared: Sequence[Prepared]) -> list[NavSolution]:

@@ -14,17 +14,17 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.composition import Prepared, make_model, make_recording, make_timeline_of, solution_of
 from estimators.core.filter import begin, correct, move, record, retract, spread
-from estimators.core.lanes import WIDTH, aligned
 from estimators.core.model import INVARIANT, REJECTED, Model
 from estimators.core.postponed import catch_up
 from estimators.core.propagate import NAV, blocks_of, make_covariance, transition
 from estimators.core.timeline import SAME_TIME, Timeline, inner, steps, walk
 from testbed.data.records import NavSolution
+from testbed.kernels import njit
+from testbed.kernels.lanes import WIDTH, aligned
 from testbed.physics.rotations import cross
 
 Array = NDArray[np.float64]

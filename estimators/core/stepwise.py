@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit, typeof
+from numba import typeof
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.core.composition import Prepared, make_model, make_recording, make_timeline_of, solution_of
@@ -27,6 +27,7 @@ from estimators.core.timeline import SAME_TIME
 from estimators.core.update import innovation_covariance
 from testbed.base.errors import InputError, nearest
 from testbed.data.records import NavSolution
+from testbed.kernels import njit
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ section 5.4. Kernels only. Frames: n north-east-down, b body; SI units and radia
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from testbed.kernels import njit
 from testbed.physics import earth
 from testbed.physics.rotations import cross, quat_multiply, quat_rotate, rotvec_to_quat
 

@@ -8,9 +8,9 @@ variance R before traces are taken; the paper adds them as they are, which would
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from testbed.physics.rotations import select
+from testbed.kernels import njit
+from testbed.kernels.lanes import select
 
 EKF, STEKF, RSTEKF = 0, 1, 2
 CEILING = (1e4, 1e3, np.pi, 10.0, 1.0)

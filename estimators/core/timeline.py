@@ -16,11 +16,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
+from testbed.kernels import njit
 
 INLINED = {"forceinline": True, "nogil": True, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """For what takes a whole model: by value it is hundreds of numbers, and to hand them on takes 50 ns. Nor is it called from

@@ -1,16 +1,15 @@
 """Kalman measurement updates that keep the covariance symmetric and positive: sequential scalars in Joseph form.
 
 Bierman, *Factorization Methods for Discrete Sequential Estimation*, chapter II; Groves, 2nd ed., section 3.2. Kernels only,
-on floats or lanes (`estimators.core.lanes`); the units are those of the states and measurements that the caller hands in.
+on floats or lanes (`testbed.kernels.lanes`); the units are those of the states and measurements that the caller hands in.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from estimators.core.lanes import is_zero
-from testbed.physics.rotations import select
+from testbed.kernels import njit
+from testbed.kernels.lanes import is_zero, select
 
 
 @njit(cache=True, nogil=True, _nrt=False)

@@ -13,7 +13,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.recording import keeper
@@ -29,6 +28,7 @@ from estimators.methods.ahrs_kernels import (
     make_work,
     weigh,
 )
+from testbed.kernels import njit
 
 Single = NDArray[np.float32]
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
@@ -30,6 +29,7 @@ from estimators.methods.ahrs_kernels import (
     turn,
     weigh,
 )
+from testbed.kernels import njit
 from testbed.physics.rotations import cross, matrix_rotate, quat_to_matrix, quat_to_rotvec, rotvec_to_quat
 
 FIGURES = len(Figures._fields)

@@ -8,13 +8,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.timeline import inner, steps
 from estimators.methods.body_axes import Axes
 from estimators.methods.direct_kernels import Inputs, Work, antenna, begin, stretch
 from estimators.methods.motion_models import N_STATES, Motion, advance
+from testbed.kernels import njit
 
 Array = NDArray[np.float64]
 

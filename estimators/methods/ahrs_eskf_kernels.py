@@ -15,13 +15,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.recording import keeper, note_sample
 from estimators.core.timeline import inner, steps
 from estimators.core.update import update
 from estimators.methods.ahrs_field import FieldWatch, doubt_of_field
+from testbed.kernels import njit
 from testbed.physics.rotations import (
     cross,
     matrix_rotate,

@@ -11,8 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from testbed.kernels import njit
 
 NORM, DIP, REFERENCE_NORM, REFERENCE_DIP, OTHER_NORM, OTHER_DIP, OTHER_TIME, CLEAN_TIME, REJECTED_TIME, AGE = range(10)
 """Places in ``FieldWatch.memory``."""

@@ -16,13 +16,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 
 from estimators.core.recording import keeper, note_sample
 from estimators.core.timeline import INLINED, inner, steps
 from estimators.core.update import cholesky
+from testbed.kernels import njit
 from testbed.physics.rotations import quat_multiply, quat_normalize, quat_to_matrix, rotvec_to_quat
 
 Array = NDArray[np.float64]

@@ -11,13 +11,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from estimators.core.lanes import any_of
 from estimators.core.timeline import inner
-from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_multiply, quat_to_euler, select
+from testbed.kernels import njit
+from testbed.kernels.lanes import any_of, select
+from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_multiply, quat_to_euler
 
 Array = NDArray[np.float64]
 

@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 from estimators.aiding.gnss import MINIMUM_STD, require_gnss
 from estimators.blocks.imu import noise_model
 from estimators.core.composition import SNAPSHOT_INTERVAL_S
-from estimators.core.lanes import WIDTH
 from estimators.core.recording import Recording
 from estimators.core.side_by_side import recording_in_lanes
 from estimators.core.strong_tracking import FILTERS
-from estimators.core.tables import combined, of_lane
 from estimators.core.timeline import Timeline, make_timeline, require_one_timeline, walk
 from estimators.methods.body_axes import HALF, TURN, Axes, near_pole, turn_noise, turn_setting, turned_angles
 from estimators.methods.direct_kernels import MEASUREMENTS, Ekf, Inputs, Tracking, make_work
 from estimators.methods.motion_models import ACCELERATED, Motion, Setting
 from testbed.base.errors import InputError
 from testbed.data.records import STATE_NAMES, InitialState, Innovations, NavSolution, SensorLog
+from testbed.kernels.lanes import WIDTH
+from testbed.kernels.tables import combined, of_lane
 from testbed.physics import earth
 from testbed.physics.rotations import euler_error_matrix, eulers_to_quats, quat_multiply, quat_to_euler, wrap
 
@@ -72,7 +72,7 @@ class DirectFilter:
         return self.answer(task, model, int(line.place[1]))
 
     def run_many(self, logs: Sequence[SensorLog]) -> list[NavSolution]:
-        """`run` on each of some logs with one time line, `WIDTH` at a time in lanes (`estimators.core.tables`).
+        """`run` on each of some logs with one time line, `WIDTH` at a time in lanes (`testbed.kernels.tables`).
 
         What comes out for a log depends on no other; a filter near the pole of its angles goes by itself. Raises
         InputError for logs whose samples and fixes are not of the same times.

@@ -9,11 +9,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core import strong_tracking
-from estimators.core.lanes import alike, any_of
 from estimators.core.lever_arm import lever_arm
 from estimators.core.recording import note_sample, note_update
 from estimators.core.strapdown import coning_sculling
@@ -21,8 +19,10 @@ from estimators.core.timeline import inner, steps
 from estimators.core.update import innovation_covariance, update, whiten
 from estimators.methods.body_axes import Axes, load, mind_the_pole
 from estimators.methods.motion_models import COUPLED, N_STATES, Motion, Step, add_process_noise, advance, transition
+from testbed.kernels import njit
+from testbed.kernels.lanes import alike, any_of, select
 from testbed.physics import earth
-from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_to_matrix, select, wrap
+from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_to_matrix, wrap
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from estimators.core.lanes import alike, any_of
 from estimators.core.recording import note_update
 from estimators.core.timeline import SAME_TIME, inner, steps
 from estimators.core.update import update
@@ -31,8 +29,10 @@ from estimators.methods.direct_kernels import (
 )
 from estimators.methods.direct_kernels import record as record_state
 from estimators.methods.motion_models import N_STATES, Motion, Setting
+from testbed.kernels import njit
+from testbed.kernels.lanes import alike, any_of, select
 from testbed.physics import earth
-from testbed.physics.rotations import select, wrap
+from testbed.physics.rotations import wrap
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.recording import Recording, note_sample, note_update
 from estimators.core.timeline import inner, steps
 from estimators.core.update import innovation_covariance, update
+from testbed.kernels import njit
 from testbed.physics import earth
 from testbed.physics.rotations import quat_multiply, quat_normalize, quat_rotate, rotvec_to_quat
 

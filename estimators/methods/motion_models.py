@@ -14,11 +14,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core import strapdown
-from estimators.core.lanes import alike
+from testbed.kernels import njit
+from testbed.kernels.lanes import alike
 from testbed.physics import earth
 from testbed.physics.rotations import euler_to_quat, quat_to_euler
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators.core.recording import note_update
@@ -19,7 +18,9 @@ from estimators.core.update import cholesky, whiten
 from estimators.methods.body_axes import Axes
 from estimators.methods.direct_kernels import MEASUREMENTS, Inputs, Work, antenna, begin, end, stretch, wrap_angles
 from estimators.methods.motion_models import N_STATES, Motion, add_process_noise, advance, transition
-from testbed.physics.rotations import select, wrap
+from testbed.kernels import njit
+from testbed.kernels.lanes import select
+from testbed.physics.rotations import wrap
 
 Array = NDArray[np.float64]
 

@@ -6,10 +6,10 @@ Bar-Shalom, Li & Kirubarajan, *Estimation with Applications to Tracking and Navi
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from estimators.core.update import whiten
 from estimators.policies import Array, Policy, add_policy, fraction
+from testbed.kernels import njit
 
 
 def threshold(rows: int, gate: float = 0.999) -> Array:

@@ -6,7 +6,8 @@ He & Asada (1993), Proc. American Control Conference. Inputs are scaled; the quo
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from testbed.kernels import njit
 
 
 @njit(cache=True)

@@ -11,8 +11,8 @@ desk, because handing arrays to a compiled function costs more than the arithmet
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from testbed.kernels import njit
 from testbed.physics.earth import G0
 from testbed.physics.rotations import wrap
 

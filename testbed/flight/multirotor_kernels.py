@@ -10,9 +10,9 @@ and radians.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from testbed.flight.autopilot_kernels import clip, desk_views
+from testbed.kernels import njit
 from testbed.physics.earth import G0
 from testbed.physics.rotations import wrap
 

@@ -8,8 +8,8 @@ three are kinematically exact. Frames n and b, SI units and radians.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from testbed.kernels import njit
 from testbed.physics.earth import earth_rate_n, gravity, metres_per_radian, transport_rate_n
 from testbed.physics.rotations import cross, quat_conjugate, quat_multiply, quat_normalize, quat_rotate_inverse
 

@@ -8,8 +8,8 @@ delays grow towards the horizon is in `testbed.physics.delays`. Delays in m, ang
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from testbed.kernels import njit
 from testbed.physics.ranging import C
 
 HUMIDITY = 0.7

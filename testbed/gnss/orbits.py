@@ -7,9 +7,9 @@ velocity is the analytic derivative. e; m, m/s, rad; times in seconds from the s
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from testbed.kernels import njit
 from testbed.physics.ranging import OMEGA, C, sight
 
 Array = NDArray[np.float64]

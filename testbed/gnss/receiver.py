@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from testbed.kernels import njit
 from testbed.physics.ecef import ecef_to_geodetic, north_east_down
 from testbed.physics.ranging import range_rate, sight
 

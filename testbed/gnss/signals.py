@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from testbed.data.satellites import GPS
@@ -22,6 +21,7 @@ from testbed.gnss import orbits
 from testbed.gnss.atmosphere import klobuchar, saastamoinen
 from testbed.gnss.constellation import Sky
 from testbed.gnss.tracking import antenna_gain
+from testbed.kernels import njit
 from testbed.physics.delays import GRADIENT_SHARE, RIPPLE_SHARE, RIPPLE_TIME_S, iono_mapping, iono_tilt, tropo_mapping
 from testbed.physics.ecef import geodetic_to_ecef, north_east_down
 from testbed.physics.ranging import C, range_rate, sight

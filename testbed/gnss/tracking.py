@@ -7,8 +7,9 @@ a second, one of 30 dB-Hz is found again (28 while it is still expected). Kernel
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from testbed.kernels import njit
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,8 @@ Mapping of the troposphere: RTCA DO-229. Kernels on numbers or arrays; angles in
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from testbed.kernels import njit
 
 GRADIENT_SHARE = 0.5
 """Gradient of the ionosphere's residual over 1000 km, over the residual at zenith."""

@@ -10,7 +10,8 @@ one definition. Three-vectors are returned as tuples (north, east, down).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from testbed.kernels import njit
 
 A = 6378137.0
 """Semi-major axis, m."""

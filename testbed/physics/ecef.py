@@ -7,9 +7,9 @@ for arrays. SI units and radians.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from testbed.kernels import njit
 from testbed.physics.earth import E2, A, F, principal_radii
 
 Array = NDArray[np.float64]

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
 from testbed.data.records import Trajectory
+from testbed.kernels import njit
 from testbed.physics.earth import earth_rate_n, metres_per_radian, position_rates
 from testbed.physics.rotations import quat_normalize, quats_to_matrices, wrap
 

@@ -7,7 +7,8 @@ tuples in e unless said otherwise; m, m/s, rad.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from testbed.kernels import njit
 
 C = 299792458.0
 """Speed of light, m/s."""

@@ -10,8 +10,10 @@ allocates nothing. The plural names do the same for whole logs: arrays of N rows
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, types
-from numba.extending import overload
+
+from testbed.kernels import njit
+from testbed.kernels.lane_functions import half_turn
+from testbed.kernels.lanes import select
 
 EULER_POLE = 1e-12
 """cos(pitch) / 2 below which roll and yaw are not told apart: rounding (1e-16) would leave them fewer than four digits."""
@@ -45,40 +47,6 @@ def quat_normalize(q):
     """Unit quaternion along q."""
     n = 1.0 / np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return (q[0] * n, q[1] * n, q[2] * n, q[3] * n)
-
-
-def select(which, yes, no):
-    """``yes`` where ``which`` holds, else ``no``; kernels only. Another kind of number brings its own."""
-    raise NotImplementedError("kernels only")
-
-
-@overload(select)
-def _select_float(which, yes, no):
-    if not isinstance(which, types.Boolean):
-        return None
-    return lambda which, yes, no: yes if which else no
-
-
-def half_turn(square):
-    """Cosine of half an angle and sine of half of it over the angle, from the angle's ``square`` (rad²); kernels only.
-
-    Floats have it here; another kind of number brings its own.
-    """
-    raise NotImplementedError("kernels only")
-
-
-@overload(half_turn)
-def _half_turn_of_float(square):
-    if not isinstance(square, types.Float):
-        return None
-
-    def branches(square):
-        if square < 1e-8:  # the series keeps full precision at zero
-            return 1.0 - square / 8.0, 0.5 - square / 48.0
-        angle = np.sqrt(square)
-        return np.cos(0.5 * angle), np.sin(0.5 * angle) / angle
-
-    return branches
 
 
 @njit(cache=True)

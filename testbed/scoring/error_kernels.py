@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from testbed.data.records import Array
+from testbed.kernels import njit
 from testbed.physics import earth, rotations
 
 BLOCK = 128

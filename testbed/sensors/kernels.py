@@ -7,7 +7,8 @@ Units and frame are those of the block (rad/s or m/s², along b).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from testbed.kernels import njit
 
 
 @njit(cache=True)

@@ -11,8 +11,8 @@ import os
 import numpy as np
 import pytest
 
-from estimators.core.lanes import WIDTH
 from estimators.methods.indirect_kf import IndirectKf
+from testbed.kernels.lanes import WIDTH
 from testbed.scenario import load_scenario
 from testbed.tuning.config import tune_config
 from testbed.tuning.objective import make_objective, record

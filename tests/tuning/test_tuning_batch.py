@@ -10,9 +10,9 @@ from numba import njit
 from synthetic import sensor_log, weaving_flight
 from test_tuning_objective import EIGHTEEN, objective
 
-from estimators.core.lanes import WIDTH, aligned, load, store
 from estimators.methods.indirect_kf import IndirectKf
 from testbed.data.records import SensorLog, Trajectory
+from testbed.kernels.lanes import WIDTH, aligned, load, store
 from testbed.scenario.windows import Window
 from testbed.scoring.metrics import error_series
 from testbed.tuning.config import RMSE_METRICS

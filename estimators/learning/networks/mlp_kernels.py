@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from testbed.kernels import njit
 
 RUNNING, GOAL, FLAT, DAMPED_OUT, OVERFITTING = 0, 1, 2, 3, 4
 """Why training stopped: epochs used up, goal met, gradient or progress vanished, no step improves, validation grew."""

@@ -1,6 +1,7 @@
 """Compiled code never goes stale: the folder that numba uses follows the sources."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -143,3 +144,41 @@ def test_what_counts_as_a_source():
         ("numba", False),
     ):
         assert (kernel_cache.hash_of(sources | {name: sources[name] + b"\n# changed"}) == before) is same
+
+
+WITH_LANES = """
+from numba import njit
+from testbed.kernels.lanes import splat
+from testbed.physics.rotations import wrap
+
+@njit
+def wrapped(x):
+    wrap(splat(x))
+    return wrap(x)
+
+wrapped(1.0)
+"""
+WITHOUT = """
+import numpy as np
+from testbed.flight.autopilot_kernels import step
+step(np.ones(200), np.ones(100))
+"""
+
+
+def test_code_compiled_for_lanes_is_loaded_where_nobody_asked_for_them(tmp_path):
+    """`wrap` in the cache knows lanes; `step` is compiled anew and loads it in the middle. numba ended with KeyError."""
+    for code in (WITH_LANES, WITHOUT):
+        environment = clean_environment(NUMBA_CACHE_DIR=str(tmp_path / "kernels"))
+        done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert any("wrap" in path.name for path in compiled(tmp_path))
+
+
+def test_no_kernel_is_compiled_by_numba_directly():
+    sources = {
+        name: path.read_text() for name, path in kernel_cache._files().items() if name.startswith(kernel_cache.PACKAGES)
+    }
+    found = [
+        name for name, text in sources.items() if re.search(r"^from numba import .*\b(njit|cfunc|jit)\b", text, re.M)
+    ]
+    assert sorted(found) == ["testbed.kernels", "testbed.kernels.lane_functions"]

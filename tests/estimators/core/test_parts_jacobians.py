@@ -13,12 +13,12 @@ from numba import njit
 
 from estimators.core import calls
 from estimators.core.composition import Composition, make_model, make_recording, prepare
-from estimators.core.lanes import WIDTH
 from estimators.core.model import AUX, INVARIANT
 from estimators.core.parts import AIDINGS, BLOCKS
 from estimators.core.propagate import NAV
-from estimators.core.tables import side_by_side, spread, zeros
 from testbed.base.schema import validate
+from testbed.kernels.lanes import WIDTH
+from testbed.kernels.tables import side_by_side, spread, zeros
 from testbed.physics import earth
 from testbed.physics.rotations import attitude_error, quat_multiply, quat_to_rotvec, rotvec_to_quat
 from testbed.sensors import sense_flight

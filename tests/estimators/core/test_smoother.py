@@ -12,12 +12,12 @@ from synthetic import sensor_log, weaving_flight
 
 from estimators.core import smoother
 from estimators.core.composition import make_model, make_recording, make_timeline_of
-from estimators.core.lanes import aligned
 from estimators.core.model import AUX, REJECTED
 from estimators.core.propagate import make_covariance, transition
 from estimators.core.timeline import SAME_TIME
 from estimators.methods.eskf import Eskf
 from testbed.base.errors import InputError
+from testbed.kernels.lanes import aligned
 from testbed.physics import earth
 from testbed.physics.rotations import attitude_error, attitude_errors, quat_multiply, rotvec_to_quat
 

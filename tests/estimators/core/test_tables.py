@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numba import njit
 
-from estimators.core.lanes import WIDTH, alike, any_of
-from estimators.core.tables import combined, of_lane, side_by_side, spread, zeros
-from testbed.physics.rotations import euler_to_quat, quat_to_euler, select, wrap
+from testbed.kernels.lanes import WIDTH, alike, any_of, select
+from testbed.kernels.tables import combined, of_lane, side_by_side, spread, zeros
+from testbed.physics.rotations import euler_to_quat, quat_to_euler, wrap
 
 RNG = np.random.default_rng(7)
 

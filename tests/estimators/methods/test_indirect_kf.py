@@ -12,10 +12,8 @@ from scipy.stats import chi2
 
 from estimators.blocks.imu import MEMORY, noise_model
 from estimators.core import strapdown
-from estimators.core.lanes import WIDTH
 from estimators.core.nav_errors import coefficients, nav_errors
 from estimators.core.propagate import Coupling, add_noise, make_covariance, make_covariances, propagate
-from estimators.core.tables import spread
 from estimators.core.update import innovation_covariance, update
 from estimators.methods.indirect_kf import SCALES, IndirectKf
 from estimators.methods.ins import Ins
@@ -23,6 +21,8 @@ from estimators.methods.update_ins import UpdateIns, outage_rows
 from testbed.base.errors import InputError
 from testbed.data.records import GnssFixes, ImuSamples, InitialState, SensorLog
 from testbed.data.specs import GnssSpec, ImuSpec, TriadSpec
+from testbed.kernels.lanes import WIDTH
+from testbed.kernels.tables import spread
 from testbed.physics import earth
 from testbed.physics.rotations import (
     attitude_error,

@@ -1,4 +1,4 @@
-"""Functions of numpy on lanes: roots, angles and powers, each lane by itself. Kernels only, once this is imported."""
+"""Functions of numpy on lanes: roots, angles and powers, each lane by itself. Kernels only."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
-from estimators.core.lanes import VECTOR, WIDTH, LanesType, lanes, splat
-from testbed.physics.rotations import half_turn, select
+from testbed.kernels.lanes import VECTOR, WIDTH, LanesType, lanes, select, splat
 
 
 def _unary(name: str) -> Any:
@@ -178,16 +177,24 @@ def _mod(x, period):
     return None
 
 
+def half_turn(square):
+    """Cosine of half an angle and sine of half of it over the angle, from the angle's ``square`` (rad²); kernels only."""
+    raise NotImplementedError("kernels only")
+
+
 @overload(half_turn)
 def _half_turn(square):
-    if isinstance(square, LanesType):
+    def series(square):
+        sine, cosine = circular(-0.25 * square)
+        return cosine, 0.5 * sine
 
-        def series(square):
-            sine, cosine = circular(-0.25 * square)
-            return cosine, 0.5 * sine
+    def branches(square):
+        if square < 1e-8:  # the series keeps full precision at zero
+            return 1.0 - square / 8.0, 0.5 - square / 48.0
+        angle = np.sqrt(square)
+        return np.cos(0.5 * angle), np.sin(0.5 * angle) / angle
 
-        return series
-    return None
+    return series if isinstance(square, LanesType) else branches if isinstance(square, types.Float) else None
 
 
 @overload(operator.pow)

@@ -28,8 +28,8 @@ from numba.extending import (
 )
 from numpy.typing import NDArray
 
-from estimators.core import lane_functions as lane_functions  # kernels on tables take roots and angles
-from estimators.core.lanes import WIDTH, aligned, as_lanes, load, store
+from testbed.kernels import lane_functions as lane_functions  # kernels on tables take roots and angles
+from testbed.kernels.lanes import WIDTH, aligned, as_lanes, load, store
 
 
 class Table:

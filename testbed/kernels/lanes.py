@@ -3,7 +3,7 @@
 Kernels only: values of this type live inside compiled functions. Each operation is that of IEEE 754 on each lane by itself,
 so a result depends neither on the other lanes nor on the place among them, and a NaN stays in its lane.
 
-`estimators.core.tables` holds arrays of them.
+`testbed.kernels.tables` holds arrays of them.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ from numba import types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 from numpy.typing import NDArray
-
-from testbed.physics.rotations import select
 
 WIDTH = 8
 """Numbers side by side: a cache line of doubles, one AVX-512 register or two of AVX2."""
@@ -188,11 +186,16 @@ def _blend(typing_context: Any, which: Any, yes: Any, no: Any) -> Any:
     return lanes(which, yes, no), generate
 
 
+def select(which, yes, no):
+    """``yes`` where ``which`` holds, else ``no``; kernels only."""
+    raise NotImplementedError("kernels only")
+
+
 @overload(select)
 def _select(which, yes, no):
     if isinstance(which, MaskType):
         return lambda which, yes, no: _blend(which, yes, no)
-    return None
+    return (lambda which, yes, no: yes if which else no) if isinstance(which, types.Boolean) else None
 
 
 @intrinsic
