@@ -43,7 +43,6 @@ def run(
     import testbed.montecarlo.runner
     from testbed.montecarlo.readings import KIND as READINGS
     from testbed.montecarlo.store import KIND as RESULT
-    from testbed.montecarlo.sweep import first_point
     from testbed.report import preload, render
 
     if not sweep and (told := [name for name, value in drawn.items() if value is not None]):
@@ -54,7 +53,7 @@ def run(
     def loaded(*arguments: Any) -> Scenario:
         return _choose_estimators(load(*arguments), estimators, external)
 
-    scenario = loaded(first_point(sweep or []))  # which may complete the settings
+    scenario = loaded(_first_point(sweep or []))  # which may complete the settings
     unused = [name for name in offered if name not in {entry.name for entry in scenario.estimators}]
     if unused and estimators is None:
         tell_user(f"no row of {scenario.name} uses {', '.join(unused)}: add --estimators +{',+'.join(unused)}")
@@ -106,6 +105,15 @@ def run(
                 f"{folder}: stopped before the report was made; testbed report {folder} makes it"
             ) from None
     print(f"report: {folder / 'report.html'}" if report else f"tables: {folder}; the report: testbed report {folder}")
+
+
+def _first_point(grid: list[str]) -> Mapping[str, Any]:
+    """Settings of the first point of a sweep; none where there is no sweep, which then need not be imported."""
+    if not grid:
+        return {}
+    from testbed.montecarlo.sweep import first_point
+
+    return first_point(grid)
 
 
 def _readings(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from testbed.base.figure_style import COLOURS, DASHES, logarithmic, new_figure
 from testbed.data.records import ACCEL_BIAS_STATES, GYRO_BIAS_STATES
@@ -65,7 +65,7 @@ def error_cdf(found: Mapping[str, np.ndarray], quantity: str) -> Figure:
 
 def bounds(dof: float) -> tuple[float, float]:
     """Within which NEES of one run, divided by its degrees of freedom, lies 95 % of the time."""
-    low, high = chi2.ppf((0.025, 0.975), dof) / dof
+    low, high = chdtri(dof, (0.975, 0.025)) / dof
     return float(low), float(high)
 
 
