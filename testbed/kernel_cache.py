@@ -15,7 +15,7 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -65,6 +65,33 @@ def _root() -> Path:
     from testbed.base.resources import cache_root
 
     return cache_root() / "kernels" / hashlib.sha256(str(package).encode()).hexdigest()[:12]
+
+
+def news_of(start: float) -> Callable[[], str]:
+    """What to tell of the kernels that any process compiled since ``start`` (s): how many, and the latest; "" of none.
+
+    Looks at the folder at most once a second.
+    """
+    looked, told = 0.0, ""
+
+    def news() -> str:
+        nonlocal looked, told
+        if time.monotonic() - looked > 1.0:
+            looked = time.monotonic()
+            try:
+                entries = [(entry.stat().st_mtime, entry.name) for entry in Path(os.environ[VARIABLE]).glob("*/*.nbi")]
+            except OSError:  # a folder of earlier sources that somebody removes
+                return told
+            fresh = sorted(entry for entry in entries if entry[0] > start)
+            told = f"{len(fresh)} kernels compiled, last {kernel_of(fresh[-1][1])}" if fresh else ""
+        return told
+
+    return news
+
+
+def kernel_of(file: str) -> str:
+    """``walk`` of ``timeline.walk-111.py311.nbi``, as numba names its index of a function (module.function-line.version)."""
+    return file.rsplit("-", 1)[0].split(".", 1)[1]
 
 
 def prune(root: Path) -> None:

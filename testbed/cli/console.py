@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from testbed.base.errors import tell_user
 from testbed.scoring.quantities import COMPARED, short_label, unit
@@ -36,17 +36,23 @@ def usable_streams() -> None:
 
 
 @contextmanager
-def progress_line(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar with rate and time left on a terminal; plain lines, one per tenth, elsewhere."""
+def progress_line(what: str, note: Callable[[], str] = str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar with rate, time left and ``note()`` on a terminal; plain lines, one per tenth, elsewhere."""
     if sys.stderr.isatty():
         from rich.progress import (
             BarColumn,
             MofNCompleteColumn,
             Progress,
+            ProgressColumn,
             TextColumn,
             TimeElapsedColumn,
             TimeRemainingColumn,
         )
+        from rich.text import Text
+
+        class NoteColumn(ProgressColumn):
+            def render(self, task: Any) -> Text:
+                return Text(note())
 
         columns = (
             TextColumn(what),
@@ -55,6 +61,7 @@ def progress_line(what: str) -> Iterator[Callable[[int, int], None]]:
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(),
+            NoteColumn(),
         )
         from rich.console import Console
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from testbed import kernel_cache
 from testbed.base.errors import OWN, InputError, TestbedError, nearest, tell_user
 from testbed.cli.console import print_claims, print_failures, print_summary, progress_line
 from testbed.montecarlo.folders import check_own
@@ -72,10 +74,11 @@ def run(
     if sweep:
         _sweep(loaded, sweep, folder, runs=count, **drawn, **options)
         return
+    started = time.time()
     _announce_compilation()
     if not options.get("resume") and (earlier := _stored_runs(folder)):
         tell_user(f"{folder} holds {earlier} runs of an earlier result, which this one replaces")
-    with progress_line("runs") as show:
+    with progress_line("runs", kernel_cache.news_of(started)) as show:
 
         def tell(done: int, total: int) -> None:
             show(done, total)

@@ -174,6 +174,16 @@ def test_code_compiled_for_lanes_is_loaded_where_nobody_asked_for_them(tmp_path)
     assert any("wrap" in path.name for path in compiled(tmp_path))
 
 
+def test_news_name_the_latest_kernel(tmp_path, monkeypatch):
+    """By the files that numba itself writes: a function of this name is compiled into an empty folder."""
+    environment = clean_environment(NUMBA_CACHE_DIR=str(tmp_path))
+    subprocess.run([sys.executable, "-c", WITH_LANES], env=environment, cwd=ROOT, check=True)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    written = [path.stat().st_mtime for path in tmp_path.glob("*/*.nbi")]
+    assert kernel_cache.news_of(min(written) - 1.0)() == f"{len(written)} kernels compiled, last wrap"
+    assert kernel_cache.news_of(max(written) + 1.0)() == ""
+
+
 def test_no_kernel_is_compiled_by_numba_directly():
     sources = {
         name: path.read_text() for name, path in kernel_cache._files().items() if name.startswith(kernel_cache.PACKAGES)
