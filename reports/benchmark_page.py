@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from benchmark_cells import NOT_MEASURED, Data, Timing, number, ratio, table
+from benchmark_goals import goals
 from benchmark_rows import PAPER_TIMES, ROWS, TUNING_HOURS, TUNING_TABLE, Row
 
-Data = dict[str, Any]
-QUICKSTART_S = 6.0
-NOT_MEASURED = "not measured: `python reports/benchmarks.py --only {}`"
 SCALES = {
     "length": ("length of the flight, s", "seconds", "Flight at 50 Hz: cost of each stage against its length"),
     "runs": ("runs", "seconds", "Monte Carlo of a flight of 10 s with one filter: cost against the number of runs"),
@@ -33,7 +30,7 @@ def render(folder: Path, page: Path) -> Path:
         "# Speed",
         INTRODUCTION,
         "## Goals",
-        *_goals(data),
+        *goals(data),
         "## Hot paths",
         *_paths(data.get("paths")),
         "## The papers' own computation times",
@@ -67,137 +64,6 @@ machine of these measurements has no graphics processor, so no gain by one is cl
 path is a sequential recursion over samples with small matrices, on which a graphics processor waits."""
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
-    """A Markdown table, the first ``left`` columns aligned to the left."""
-    lines = ["| " + " | ".join(head) + " |"]
-    lines.append("|" + "".join(" :--- |" if k < left else " ---: |" for k in range(len(head))))
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
-
-
-def number(value: float, digits: int = 3) -> str:
-    """Three significant digits without an exponent."""
-    if value == 0.0 or not math.isfinite(value):
-        return f"{value:g}"
-    places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-    return f"{value:,.{places}f}"
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Seconds of one unit of a benchmark: a sample, a step, a second of flight, or a call."""
-
-    least: float
-    median: float
-
-    @classmethod
-    def of(cls, paths: Data, name: str, unit: str = "samples") -> Timing | None:
-        """None where the benchmark was not run."""
-        entry = paths.get(name)
-        if entry is None:
-            return None
-        count = entry["extra"].get(unit)
-        if count is None and "us_per_sample" in entry["extra"] and unit == "samples":
-            count = 1e6 * entry["median_s"] / entry["extra"]["us_per_sample"]
-        if unit == "evaluations":
-            count = entry["min_s"] / entry["extra"]["seconds_per_evaluation"]
-        count = 1.0 if unit == "calls" else count
-        return None if count is None else cls(entry["min_s"] / count, entry["median_s"] / count)
-
-
-def _ratio(over: Timing | None, under: Timing | None, factor: float = 1.0) -> float | None:
-    return None if over is None or under is None else over.least / (factor * under.least)
-
-
-def _goals(data: Data) -> list[str]:
-    rows = [
-        (text, limit, measured, "-" if met is None else "yes" if met else "**no**")
-        for text, limit, measured, met in [*_path_goals(data.get("paths", {})), *_job_goals(data)]
-    ]
-    return [table(("goal", "limit", "measured", "met"), rows, 1), _why_quickstart(data.get("jobs"))]
-
-
-def _why_quickstart(jobs: Data | None) -> str:
-    """Where the seconds of a quickstart go that misses its goal."""
-    if jobs is None or jobs["quickstart"]["median_s"] <= QUICKSTART_S:
-        return ""
-    stages = sorted(jobs["stages"]["seconds"].items(), key=lambda item: -item[1])[:3]
-    return (
-        "The quickstart's seconds, most first (all of them under whole jobs): "
-        + "; ".join(f"{name} {number(seconds)} s" for name, seconds in stages)
-        + ". Workers, and the helper that draws half of the figures, are copies of a process whose imports and kernels are loaded."
-    )
-
-
-Goal = tuple[str, str, str, bool | None]
-
-
-def _goal(text: str, limit: float, measured: float | None, unit: str, section: str, at_least: bool = False) -> Goal:
-    bound = f"{'at least' if at_least else 'at most'} {limit:,g} {unit}".strip()
-    if measured is None:
-        return text, bound, NOT_MEASURED.format(section), None
-    met = measured >= limit if at_least else measured <= limit
-    return text, bound, f"{number(measured)} {unit}".strip(), met
-
-
-def _path_goals(paths: Data) -> list[Goal]:
-    def micro(name: str, unit: str = "samples") -> float | None:
-        timing = Timing.of(paths, name, unit)
-        return None if timing is None else 1e6 * timing.median
-
-    kf, peer = "test_bench_indirect_kf", Timing.of(paths, "test_bench_python_ins")
-    sense = Timing.of(paths, "test_imu[ADIS16405]", "flight_s")
-    found = [
-        _goal("`indirect-kf`, all in, per sample", 3.0, micro(kf), "µs", "paths"),
-        _goal(
-            "`indirect-kf` against python-ins, same process",
-            200,
-            _ratio(peer, Timing.of(paths, kf)),
-            "x",
-            "paths",
-            True,
-        ),
-        _goal("`direct-ukf` per sample", 25.0, micro("test_bench_direct_filter[direct-ukf]"), "µs", "paths"),
-        _goal("`imm-rstekf` per sample", 15.0, micro("test_bench_direct_filter[imm-rstekf]"), "µs", "paths"),
-        _goal(
-            "GNSS simulation per epoch, 24 satellites", 30.0, micro("test_bench_satellites", "epochs"), "µs", "paths"
-        ),
-        _goal(
-            "GNSS receiver per epoch, 24 satellites", 15.0, micro("test_bench_receiver[24]", "epochs"), "µs", "paths"
-        ),
-        _goal("`tight-kf` per sample, larger noise", 3.0, micro("test_bench_tight[inflate]"), "µs", "paths"),
-        _goal(
-            "sensing a 200 Hz IMU (ADIS16405), times real time",
-            5000,
-            None if sense is None else 1.0 / sense.median,
-            "x",
-            "paths",
-            True,
-        ),
-    ]
-    for name in ("aerosonde", "transport", "agile"):
-        ratio = paths.get(f"test_fly[{name}]", {}).get("extra", {}).get("over_bare")
-        found.append(_goal(f"flying the `{name}`, over the bare JSBSim loop", 1.3, ratio, "x", "paths"))
-    return found
-
-
-def _job_goals(data: Data) -> list[Goal]:
-    jobs, monte, tests = data.get("jobs"), data.get("monte-carlo"), data.get("tests")
-    return [
-        _goal(
-            "`testbed run quickstart`, warm, in all", QUICKSTART_S, jobs and jobs["quickstart"]["median_s"], "s", "jobs"
-        ),
-        _goal("`testbed --help`", 0.3, jobs and jobs["help"]["median_s"], "s", "jobs"),
-        _goal(
-            f"Monte Carlo of `imm-rstekf-2023`, {monte['runs'] if monte else 1000} runs, seven filters, report, two cores",
-            600.0,
-            monte and monte["seconds"],
-            "s",
-            "monte-carlo",
-        ),
-        _goal("`make test`", 600.0, tests and tests["seconds"], "s", "tests"),
-    ]
-
-
 def _paths(paths: Data | None) -> list[str]:
     if paths is None:
         return [NOT_MEASURED.format("paths")]
@@ -215,9 +81,9 @@ def _path_row(paths: Data, row: Row) -> tuple[str, ...] | None:
         in_turn = paths[row.name]["extra"].get("over_bare")  # the two timed in turn
         times = number(in_turn or timing.least / (row.times * floor.least))
     peers = (
-        f"{label} {number(ratio)}"
+        f"{label} {number(slower)}"
         for label, name in row.peers.items()
-        if (ratio := _ratio(Timing.of(paths, name, row.unit), timing)) is not None
+        if (slower := ratio(Timing.of(paths, name, row.unit), timing)) is not None
     )
     unit = {
         "samples": "sample",

@@ -27,6 +27,17 @@ def _direct(name: str, branches: int = 1) -> Row:
     )
 
 
+def _side_by_side(name: str) -> Row:
+    """Of eight runs; beside the filter's own single run on the same flight."""
+    return Row(
+        f"`{name}`, eight runs side by side in vector lanes",
+        f"test_bench_side_by_side_runs[{name}]",
+        "samples",
+        "its own single run",
+        f"test_bench_direct_filter[{name}]",
+    )
+
+
 def _narx(name: str, below: str) -> Row:
     return Row(
         f"`{name}`, learning on line",
@@ -93,6 +104,18 @@ ROWS = (
         floor="test_bench_sigma_points",
         peers={"filterpy UKF, compiled model": "test_bench_filterpy_ukf"},
     ),
+    Row(
+        "`indirect-kf` at 100 Hz",
+        "test_bench_direct_filter[indirect-kf]",
+        "samples",
+        TRIPLE,
+        "test_bench_direct_triple_product",
+        peers={
+            "INSLIB (C, through its Python binding, own process)": "test_bench_inslib",
+            "sidereon EKF (Rust, through its Python binding)": "test_bench_sidereon",
+        },
+    ),
+    *(_side_by_side(name) for name in ("indirect-kf", "direct-ekf", "direct-ukf", "imm-rstekf")),
     _outage("lkf9"),
     _outage("ann"),
     _outage("kfann"),
@@ -108,6 +131,13 @@ ROWS = (
             f"ahrs {name}": f"test_bench_ahrs[{key}]"
             for name, key in (("Madgwick", "madgwick"), ("Mahony", "mahony"), ("EKF", "ahrs-ekf"))
         },
+    ),
+    Row(
+        "`ahrs-eskf`",
+        "test_bench_ahrs[ahrs-eskf]",
+        what="triple product 12 x 12",
+        floor="test_bench_ahrs_triple_product",
+        peers={"VQF (C++)": "test_bench_ahrs[vqf]"},
     ),
     Row(
         "`ahrs-lstm`",

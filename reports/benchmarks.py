@@ -26,7 +26,7 @@ HERE = Path(__file__).resolve().parent
 DATA = HERE / "benchmarks"
 PACKAGES = (
     *("numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow", "matplotlib", "jsbsim", "torch"),
-    *("python-ins", "ahrs", "filterpy", "scikit-learn"),
+    *("python-ins", "ahrs", "filterpy", "vqf", "inslib", "sidereon", "scikit-learn"),
 )
 
 
