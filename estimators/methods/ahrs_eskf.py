@@ -47,12 +47,13 @@ UNKNOWN_MPS = 100.0
 class AhrsEskf:
     """Attitude filter on a bounded velocity, or on a measured speed.
 
-    Noise is given as 1 sigma of a mean over 1 s. One set of values serves hands, feet and slow robots; an aircraft names a
-    ``speed``, because a turn of minutes is no motion of bounded velocity in the sense of ``velocity_mps``.
+    Noise is given as 1 sigma of a mean over 1 s. One set of values serves hands, feet and slow robots; a multirotor states its
+    ``velocity_mps``, and an aircraft names a ``speed``: a turn of minutes is no motion of bounded velocity in that sense.
     """
 
     velocity_mps: float = 0.5
-    """Of the carrier: a hand moves at 0.5 m/s rms and turns round about once a second, so a mean over 1 s has this."""
+    """Of the carrier: a hand moves at 0.5 m/s rms and turns round about once a second, so a mean over 1 s has this. A carrier
+    that keeps its direction for seconds has its speed: a multirotor that circles at 6 m/s with 0.5 seems to be tilted."""
     velocity_walk_mps: float = 0.05
     """Noise of the integrated specific force per second: 5 mg of rectified vibration and error of scale and alignment."""
     gyro_dps: float = 0.1

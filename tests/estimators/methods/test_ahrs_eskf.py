@@ -190,6 +190,22 @@ def test_in_a_sustained_turn_it_needs_a_speed():
     assert errors["airspeed"] < 0.3 and errors["gnss"] < 0.3 and errors[""] > 5.0
 
 
+def test_a_multirotor_in_a_circle_states_its_own_velocity():
+    """6 m/s on a radius of 25 m tilt by 8.4°, of which a hand's velocity takes more than half for level (4.2° of one vector,
+
+    3° per axis). The carrier's own lengthens the filter's time constant by (6 / 0.5)^1/2 = 3.5, and what turns faster than the
+    filter follows is damped by at least as much.
+    """
+    log, truth = circle(speed=6.0, radius=25.0)
+    tilt = {
+        velocity: np.degrees(
+            np.sqrt(np.mean(attitude_errors(AhrsEskf(velocity_mps=velocity).run(log).q_nb, truth)[-2500:, :2] ** 2))
+        )
+        for velocity in (0.5, 6.0)
+    }
+    assert tilt[0.5] > 3.0 and tilt[6.0] < tilt[0.5] / 3.5, tilt
+
+
 def gusty(seed, estimator, log, truth):
     """The circle again in gusts of the filter's own model, which move the aircraft and not its airspeed; noise and a start likewise."""
     rng, t, dt = np.random.default_rng(seed), log.imu.t, 0.02
