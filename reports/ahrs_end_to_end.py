@@ -96,9 +96,7 @@ def training_path(rows: Sequence[dict[str, Any]]) -> None:
         axis.grid(which="both", lw=0.3, alpha=0.5)
     axes[0].legend(fontsize=8, frameon=False)
     axes[1].axhline(1.0, color="black", lw=0.7, ls=":")
-    axes[1].set_xlabel(
-        "update (of 30 s of 13 windows; a new batch of windows after each 40); dotted: norms are cut to it"
-    )
+    axes[1].set_xlabel("update, each of 30 s of ten windows (others from 41 on)")
     save(figure, "training-path.png")
 
 

@@ -368,5 +368,5 @@ def test_what_it_cannot_use_is_refused():
         AhrsEskf(heading_deg=0.0)
     with pytest.raises(InputError, match="reject_field"):
         AhrsEskf(reject_field=1)
-    with pytest.raises(InputError, match="misalignment_deg = -1.0, must be within 0 to 45"):
+    with pytest.raises(InputError, match=r"misalignment_deg = -1\.0, must be within 0 to 45"):
         AhrsEskf(misalignment_deg=-1.0)
