@@ -1,6 +1,6 @@
 """AHRS-LSTM 2022: every claim of the paper on the network trained end to end, judged over training seeds and noise seeds.
 
-`ahrs_end_to_end` measures errors and structures and calls `judged`; noise is measured here, on the bench. Effects are
+`ahrs_end_to_end` measures errors and trains structures; noise is measured here, on the bench. Effects are
 differences of logarithms, so that a ratio and its inverse weigh alike; the verdicts are those of `testbed.scoring.verdicts`.
 """
 
@@ -44,28 +44,17 @@ class Measured:
     dof: int
 
 
-def judged(optimiser: str, squares: Mapping[str, Array], noise: Array, structures: Sequence[Mapping[str, str]]) -> Any:
-    """Rows of the claims table, corrected after Holm for all claims of the page.
-
-    ``squares``: label to mean squares (training seeds, noise seeds, windows, roll and pitch), as `ahrs_end_to_end` has
-    them; ``noise``: see `noise_ratios`; ``structures``: rows of the sweep, none where it was not made.
-    """
+def judged(network: str, found: Sequence[tuple[Any, Measured]]) -> Iterator[dict[str, Any]]:
+    """Rows of a claims table from claims and what was measured of each, corrected after Holm for all of them."""
     from testbed.scoring.verdicts import judge
 
-    network = f"LSTM end to end, {optimiser}"
-    found = [*of_errors(squares, network), *of_noise(noise, network), *of_structures(structures)]
     effects = [effect_of(measured) for _, measured in found]
-    for (claim, _), effect, (verdict, p_value, p_holm) in zip(
-        found, effects, judge([c for c, _ in found], effects), strict=True
-    ):
+    verdicts = judge([claim for claim, _ in found], effects)
+    for (claim, _), effect, (verdict, p_value, p_holm) in zip(found, effects, verdicts, strict=True):
         row = {"network": network, "id": claim.id, "text": claim.text, "origin": claim.origin, "kind": claim.kind}
-        row |= {
-            "paper_pct": claim.paper_improvement_pct,
-            "margin_pct": claim.margin_pct,
-            "measured_pct": effect.percent,
-        }
-        row |= {"ci_low": effect.low, "ci_high": effect.high, "verdict": verdict, "p_value": p_value, "p_holm": p_holm}
-        yield row | {"contradiction": claim.contradiction}
+        row |= {"paper_pct": claim.paper_improvement_pct, "margin_pct": claim.margin_pct}
+        row |= {"measured_pct": effect.percent, "ci_low": effect.low, "ci_high": effect.high, "verdict": verdict}
+        yield row | {"p_value": p_value, "p_holm": p_holm, "contradiction": claim.contradiction}
 
 
 def effect_of(measured: Measured) -> Any:
@@ -88,7 +77,10 @@ def claim(identity: str, text: str, **settings: Any) -> Any:
 
 
 def of_errors(squares: Mapping[str, Array], network: str) -> Iterator[tuple[Any, Measured]]:
-    """Claims 1 and 2 of the paper, and our own."""
+    """Claims 1 and 2 of the paper, and our own.
+
+    ``squares``: label to mean squares (training seeds, noise seeds, windows, roll and pitch), as `ahrs_end_to_end` has them.
+    """
     ours = squares[network]
 
     def against(label: str, window: int, axis: int) -> Measured:
@@ -108,7 +100,7 @@ def of_errors(squares: Mapping[str, Array], network: str) -> Iterator[tuple[Any,
         yield claim(f"own-tuned-{name}", text, origin="own"), against(TUNED, 0, axis)
 
 
-def of_noise(ratios: Array, network: str) -> Iterator[tuple[Any, Measured]]:
+def of_noise(ratios: Array) -> Iterator[tuple[Any, Measured]]:
     """Claims on the Allan deviation of the attitude's rate at rest, network over KF; ``ratios`` as in `noise_ratios`."""
     figures = {"1 s": ("ARW", 28.3), "400 s": ("in-run bias", 14.3), "1000 s": ("RRW", 23.9)}
     for k, (tau, (name, pct)) in enumerate(figures.items()):
@@ -169,8 +161,6 @@ def of_structures(rows: Sequence[Mapping[str, str]]) -> Iterator[tuple[Any, Meas
 
     The residual of the 54 trainings (one seed each) is the error; what factors do together is part of it.
     """
-    if not rows:
-        return
     y = np.array([2.0 * math.log(float(row["validation_deg"])) for row in rows])
     levels = {key: sorted({row[key] for row in rows} - {best}) for key, best in BEST.items()}
     terms = [(key, level) for key, others in levels.items() for level in others]

@@ -11,12 +11,12 @@ import csv
 import math
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ahrs_claims import BASE, crossed, judged, noise_ratios, structure_grid
+from ahrs_claims import BASE, crossed, judged, noise_ratios, of_errors, of_noise, of_structures, structure_grid
 from ahrs_studies import RESULTS, SCENARIO, TARGET, new_figure, save, write_table
 from numpy.typing import NDArray
 
@@ -47,9 +47,9 @@ def main(names: Sequence[str] = ()) -> None:
     write_table(TARGET / "end-to-end-trainings.csv", list(trainings(folders, squares)))
     training_path(list(collected(folders, "gradients.csv")))
     write_table(TARGET / "end-to-end-elsewhere.csv", list(elsewhere(folders)))
-    if "--long" in names:
-        write_table(TARGET / "end-to-end-structures.csv", list(structures()))
     claims(folders, squares)
+    if "--long" in names:
+        structures()
     print(f"{time.process_time() / 60.0:.0f} min of CPU")
 
 
@@ -100,15 +100,18 @@ def training_path(rows: Sequence[dict[str, Any]]) -> None:
     save(figure, "training-path.png")
 
 
-def structures() -> Iterator[dict[str, str]]:
-    """The paper's 54 structures, each trained once: ``testbed train ahrs-lstm-2022 --variant end-to-end --profile structures``."""
+def structures() -> None:
+    """``end-to-end-structures.csv``, the paper's 54 structures, each trained once, and the claims on them, judged by themselves:
+    ``testbed train ahrs-lstm-2022 --variant end-to-end --profile structures``.
+    """
     from testbed.scenario import load_scenario
     from testbed.training.train import train
 
     scenario = load_scenario(SCENARIO, variant="end-to-end", profile="structures")
     rows = read(train(scenario, RESULTS / f"{SCENARIO}-structures", resume=True))
     assert len(rows) == len(structure_grid())
-    yield from rows
+    write_table(TARGET / "end-to-end-structures.csv", rows)
+    write_table(TARGET / "end-to-end-structures-claims.csv", told(judged("structures", list(of_structures(rows)))))
 
 
 def elsewhere(folders: Folders) -> Iterator[dict[str, Any]]:
@@ -134,25 +137,21 @@ def kf_of_paper() -> Any:
 
 
 def claims(folders: Folders, squares: dict[str, Array]) -> None:
-    """``end-to-end-claims.csv`` and ``end-to-end-noise.csv``; the structures are those that the last ``--long`` has left."""
+    """``end-to-end-claims.csv`` and ``end-to-end-noise.csv``; the claims of each optimiser's networks are a page of their own."""
     networks = {f"LSTM end to end, {o}": [network_of(folders[o, s]) for s in range(SEEDS)] for o in OPTIMISERS}
     ratios, table = noise_ratios(networks, kf_of_paper(), REST_SEEDS)
     write_table(TARGET / "end-to-end-noise.csv", table)
-    kept = TARGET / "end-to-end-structures.csv"
-    swept = read(kept) if kept.is_file() else []
-    rows = [
-        row
-        for o in OPTIMISERS
-        for row in judged(o, squares, ratios[f"LSTM end to end, {o}"], swept if o == "sgd" else [])
-    ]
+    rows = [row for n in networks for row in told(judged(n, [*of_errors(squares, n), *of_noise(ratios[n])]))]
     write_table(TARGET / "end-to-end-claims.csv", rows)
-    for row in rows:
-        print(
-            row["network"],
-            row["id"],
-            f"{row['measured_pct']:.1f} ({row['ci_low']:.1f} to {row['ci_high']:.1f})",
-            row["verdict"],
-        )
+
+
+def told(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of a claims table, printed."""
+    out = list(rows)
+    for row in out:
+        interval = f"{row['measured_pct']:.1f} ({row['ci_low']:.1f} to {row['ci_high']:.1f})"
+        print(row["network"], row["id"], interval, row["verdict"])
+    return out
 
 
 def network_of(folder: Path) -> Any:

@@ -103,7 +103,8 @@ def test_the_table_says_which_claims_hold(study):
     )
     squares = {"paper's KF": base, "KF tuned": base / 100.0, "LSTM end to end, sgd": ours}
     noise = np.exp(0.01 * rng.standard_normal((5, 4, 3)))
-    found = {row["id"]: row for row in study.judged("sgd", squares, noise, [])}
+    pages = [*study.of_errors(squares, "LSTM end to end, sgd"), *study.of_noise(noise)]
+    found = {row["id"]: row for row in study.judged("sgd", pages)}
     for key in ("1-roll", "1-pitch", "2-loiter-roll", "2-loiter-pitch"):
         assert found[key]["verdict"] == "reproduced" and found[key]["measured_pct"] == pytest.approx(75.0, abs=3.0)
     for key in ("3-arw", "3-in-run", "3-rrw", "3-text"):
