@@ -121,10 +121,11 @@ def elsewhere(folders: Folders) -> Iterator[dict[str, Any]]:
         base = squares_of(kf_of_paper(), logs, truth)[None, :, 0]
         ours = np.array([squares_of(network_of(folders["sgd", seed]), logs, truth)[:, 0] for seed in range(SEEDS)])
         for a, axis in enumerate(AXES):
-            ends = [100.0 * (1.0 - math.exp(x)) for x in crossed_interval(np.log(ours[..., a] / base[..., a]))]
+            low, middle, high = crossed_interval(np.log(ours[..., a] / base[..., a]))
+            ends = [100.0 * (1.0 - math.exp(x)) for x in (middle, high, low)]
             row: dict[str, Any] = {"variant": variant, "axis": axis, "kf_rmse_deg": float(np.sqrt(base[..., a]).mean())}
             row |= {"rmse_deg": float(np.sqrt(ours[..., a]).mean())}
-            yield row | dict(zip(("mse_high", "mse_below_pct", "mse_low"), ends, strict=True))
+            yield row | dict(zip(("mse_below_pct", "mse_low", "mse_high"), ends, strict=True))
 
 
 def kf_of_paper() -> Any:
