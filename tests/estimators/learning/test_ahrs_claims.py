@@ -114,3 +114,25 @@ def test_the_table_says_which_claims_hold(study):
         )
         assert "14 %" in found[key]["contradiction"]
     assert found["own-tuned-roll"]["verdict"] == "reversed" and found["own-tuned-roll"]["origin"] == "own"
+
+
+def test_the_profile_trains_the_papers_structures_by_the_papers_method(study):
+    import itertools
+
+    from testbed.scenario import load_scenario
+
+    train = load_scenario("ahrs-lstm-2022", variant="end-to-end", profile="structures").extra["train"]
+    keys = list(train["sweep"])
+    points = [dict(zip(keys, values, strict=True)) for values in itertools.product(*train["sweep"].values())]
+    assert points == study.structure_grid()
+    assert (train["method"], train["optimiser"], train["learning_rate"]) == ("end-to-end", "sgd", 0.1)
+
+
+@pytest.mark.parametrize("variant", [None, "end-to-end"])
+def test_what_the_paper_says_of_mean_squares_is_claimed_of_roots_as_such(variant):
+    """36.6 and 34.2 % of a mean square are 1 - (1 - 0.366)^1/2 = 20.4 and 18.9 % of its root, which is what a run measures."""
+    from testbed.scenario import load_scenario
+
+    stated = {c.id: c.paper_improvement_pct for c in load_scenario("ahrs-lstm-2022", variant=variant).claims}
+    for identity, square in (("1-roll", 36.6), ("1-pitch", 34.2)):
+        assert stated[identity] == pytest.approx(100.0 * (1.0 - np.sqrt(1.0 - square / 100.0)), abs=0.05)
