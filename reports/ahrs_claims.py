@@ -58,14 +58,15 @@ def judged(network: str, found: Sequence[tuple[Any, Measured]]) -> Iterator[dict
 
 
 def effect_of(measured: Measured) -> Any:
-    """By how many per cent lower, with the t-interval (95 %) of the logarithm; positive where lower."""
+    """By how many per cent lower, with the t-interval (95 %) and the p-value of the logarithm; positive where lower."""
     from scipy.stats import t
 
     from testbed.scoring.effects import Effect
 
     half = float(t.ppf(0.975, measured.dof)) * measured.error
     low, middle, high = (100.0 * (1.0 - math.exp(measured.mean + x)) for x in (half, 0.0, -half))
-    error = 100.0 * math.exp(measured.mean) * measured.error
+    # of the per cents, such that they lie as many sigmas from none as the logarithm does
+    error = measured.error * (abs(middle / measured.mean) if measured.mean else 100.0)
     return Effect(middle, low, high, error, measured.dof + 1, middle, low, high)
 
 

@@ -33,6 +33,8 @@ def test_an_effect_is_the_ratio_with_the_interval_of_its_logarithm(study):
     ends = 100.0 * (1.0 - 0.5 * np.exp([half, 0.0, -half]))
     np.testing.assert_allclose([found.low, found.percent, found.high], ends, rtol=1e-12)
     assert found.n == 5
+    assert found.p_value == pytest.approx(2.0 * stats.t.sf(np.log(2.0) / 0.1, 4))
+    assert study.effect_of(study.Measured(0.0, 0.1, 4)).p_value == pytest.approx(1.0)
 
 
 def table(study, effects, scatter, seed=0):
