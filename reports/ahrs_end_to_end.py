@@ -2,7 +2,8 @@
 
 ``python reports/ahrs_end_to_end.py`` trains what is missing (``results/report/ahrs-lstm-2022-end-to-end``, five seeds with SGD
 at the paper's rate and five with Adam) and writes ``end-to-end*.csv`` and ``training-path.png`` into
-``reports/ahrs-lstm-2022/``; with ``--long`` also the paper's 54 structures. Units are in the headings.
+``reports/ahrs-lstm-2022/``; 13 minutes of one core for the trainings and 11 for the rest. With ``--long`` also the paper's 54
+structures, about 20 minutes more. Units are in the headings.
 """
 
 from __future__ import annotations
