@@ -93,15 +93,20 @@ def allan() -> None:
 def attitude_rates(log: SensorLog) -> dict[str, Any]:
     """(N,3) rad/s: what the gyros say, and how fast the attitude of each filter turns in b."""
     from testbed.data.registry import make_estimator
-    from testbed.physics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 
-    dt, rates = np.diff(log.imu.t), {"IMU": log.imu.gyro[1:]}
+    rates = {"IMU": log.imu.gyro[1:]}
     for label, (name, params) in rows_of_scenario().items():
         if label in COLOURS:
-            q = make_estimator(name, **params).run(log).q_nb
-            turns = [quat_to_rotvec(quat_multiply(quat_conjugate(a), b)) for a, b in zip(q[:-1], q[1:], strict=True)]
-            rates[label] = np.array(turns) / dt[:, None]
+            rates[label] = rate_of_attitude(make_estimator(name, **params).run(log).q_nb, log)
     return rates
+
+
+def rate_of_attitude(q_nb: Any, log: SensorLog) -> Any:
+    """(N-1,3) rad/s: how fast an attitude (N,4) at the times of the IMU turns, in b."""
+    from testbed.physics.rotations import attitude_errors, quats_to_matrices
+
+    turns = np.einsum("kji,kj->ki", quats_to_matrices(q_nb[:-1]), attitude_errors(q_nb[1:], q_nb[:-1]))
+    return turns / np.diff(log.imu.t)[:, None]
 
 
 def rows_of_scenario() -> dict[str, tuple[str, Mapping[str, Any]]]:

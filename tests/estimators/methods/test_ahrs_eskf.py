@@ -190,6 +190,22 @@ def test_in_a_sustained_turn_it_needs_a_speed():
     assert errors["airspeed"] < 0.3 and errors["gnss"] < 0.3 and errors[""] > 5.0
 
 
+def test_a_multirotor_in_a_circle_states_its_own_velocity():
+    """6 m/s on a radius of 25 m tilt by 8.4°, of which a hand's velocity takes more than half for level (4.2° of one vector,
+
+    3° per axis). The carrier's own lengthens the filter's time constant by (6 / 0.5)^1/2 = 3.5, and what turns faster than the
+    filter follows is damped by at least as much.
+    """
+    log, truth = circle(speed=6.0, radius=25.0)
+    tilt = {
+        velocity: np.degrees(
+            np.sqrt(np.mean(attitude_errors(AhrsEskf(velocity_mps=velocity).run(log).q_nb, truth)[-2500:, :2] ** 2))
+        )
+        for velocity in (0.5, 6.0)
+    }
+    assert tilt[0.5] > 3.0 and tilt[6.0] < tilt[0.5] / 3.5, tilt
+
+
 def gusty(seed, estimator, log, truth):
     """The circle again in gusts of the filter's own model, which move the aircraft and not its airspeed; noise and a start likewise."""
     rng, t, dt = np.random.default_rng(seed), log.imu.t, 0.02
@@ -312,6 +328,33 @@ def test_a_start_without_heading_finds_it_by_the_first_field():
     assert np.degrees(np.abs(attitude_errors(solution.q_nb[-1:], truth[-1:]))).max() < 10.0
 
 
+def test_triads_that_are_turned_are_in_the_stated_sigma():
+    """Both triads turned by 1° (1 sigma per axis), drawn 200 times, on a carrier that rests level: the mean NEES of the attitude
+
+    is that of three degrees of freedom, within four standard errors of 200 draws; without being told it is ten times that.
+    """
+    t, rng = 0.02 * np.arange(1, 501), np.random.default_rng(5)
+    plain, truth = log_of(t, level(500), np.zeros((500, 3)), std_deg=(0.3, 0.3, 0.3), bias_std_dps=1e-3)
+    means = {}
+    for told in (0.0, 1.0):
+        estimator, nees = AhrsEskf(misalignment_deg=told, heading_deg=0.5, gyro_dps=0.01, reject_field=False), []
+        for _ in range(200):
+            accel, field = (
+                quats_to_matrices(np.array([rotvec_to_quat(np.radians(1.0) * rng.standard_normal(3))]))[0] for _ in "am"
+            )
+            imu = ImuSamples(t, plain.imu.gyro, plain.imu.accel @ accel.T, plain.imu.spec)
+            wide = plain.initial.__class__(
+                **{**vars(plain.initial), "std": np.where(np.arange(15) // 3 == 2, 0.1, plain.initial.std)}
+            )
+            log = SensorLog(imu, wide, aiding={"mag": MagSamples(t, plain.mag.field @ field.T, plain.mag.spec)})
+            solution = estimator.run(log)
+            e, p = attitude_errors(solution.q_nb[-1:], truth[-1:])[0], solution.covariance[-1, :3, :3]
+            nees.append(e @ np.linalg.solve(p, e))
+        means[told] = np.mean(nees)
+    assert abs(means[1.0] - 3.0) < 4.0 * np.sqrt(6.0 / 200.0), means
+    assert means[0.0] > 10.0 * means[1.0]
+
+
 def test_what_it_cannot_use_is_refused():
     t = 0.01 * np.arange(1, 201)
     log, _ = log_of(t, level(200), np.zeros((200, 3)))
@@ -325,3 +368,5 @@ def test_what_it_cannot_use_is_refused():
         AhrsEskf(heading_deg=0.0)
     with pytest.raises(InputError, match="reject_field"):
         AhrsEskf(reject_field=1)
+    with pytest.raises(InputError, match=r"misalignment_deg = -1\.0, must be within 0 to 45"):
+        AhrsEskf(misalignment_deg=-1.0)
