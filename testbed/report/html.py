@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.base.figure_style import COLOURS
-from testbed.report import conditions, innovations, provenance, satellites, tables
+from testbed.report import conditions, innovations, normalised, provenance, satellites, tables
 from testbed.report.charts import charts
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
@@ -42,6 +42,7 @@ def page(result: Result) -> str:
         conditions=conditions.table(result),
         consistency=tables.consistency(result),
         innovations=innovations.table(result),
+        passed=normalised.told(result),
         satellites=satellites.table(result),
         timings=tables.timings(result),
         sensors=sensor_tables(result),
@@ -130,7 +131,7 @@ def _sections(result: Result, drawn: dict[str, Any]) -> list[tuple[str, str]]:
     found += [("conditions", "Conditions")] if result.scenario else []
     found += [("flight", "Flight")] if "track" in drawn else []
     found += [("errors", "Errors")] if "errors" in drawn else []
-    found += [("spread", "Monte Carlo")] if {"spread", "envelopes"} & set(drawn) else []
+    found += [("spread", "Monte Carlo")] if {"spread", "envelopes", "runs"} & set(drawn) else []
     found += [("consistency", "Consistency")] if {"consistency", "innovations"} & set(drawn) else []
     found += [("satellites", "Satellites")] if "satellites" in drawn else []
     found += [("extras", "Inside the filters")] if "extras" in drawn else []
