@@ -59,7 +59,8 @@ def gaps(t: np.ndarray) -> list[tuple[float, float]]:
 
 def chart(label: str, tables: Mapping[str, pd.DataFrame], colour: int, outages: Spans, phases: Phases) -> Figure | None:
     """A panel per aiding of a filter: the statistic of each update, its threshold, gaps as bars at the bottom."""
-    rows, traces = [], []
+    rows: list[str] = []
+    traces: list[Figure] = []
     for aiding, frame in tables.items():
         t, size, channels = largest(frame)
         if not len(t):

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from result_folder import make_result
 
+from testbed import pipeline
 from testbed.montecarlo import runner
 from testbed.report import charts, chosen_runs, figures, html, normalised, render, render_index
 from testbed.report.headline import headline
@@ -40,6 +41,14 @@ def test_the_statistic_is_the_largest_of_each_update_and_gaps_are_told() -> None
     assert by_name["taken"]["y"][5] is None
 
 
+@pytest.fixture
+def real_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plug-in of these runs replaces two functions of the pipeline; they are put back afterwards."""
+    for name in ("fly", "sense"):
+        monkeypatch.setattr(pipeline, name, getattr(pipeline, name))
+
+
+@pytest.mark.usefixtures("real_pipeline")
 def test_a_run_is_chosen_by_its_place_and_shows_its_own_errors(tmp_path: Path) -> None:
     """The synthetic estimator's error north is a constant of each run: the series of the worst is that run's RMSE."""
     runner.run(mc.scenario([mc.GOOD, mc.BAD], runs=9, claims=[mc.CLAIM]), tmp_path / "out", plugins=[mc.PLUGIN], jobs=1)
