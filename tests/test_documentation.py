@@ -128,3 +128,18 @@ def test_a_script_of_the_gallery_draws(name, monkeypatch, tmp_path):
     runpy.run_path(str(script))
     plt.close("all")
     assert len(drawn) == 1 and all(axes.has_data() for axes in drawn[0].axes)
+
+
+def test_links_that_lead_nowhere_are_found(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS / "extensions"))
+    from links import broken
+
+    (tmp_path / "a").mkdir()
+    (tmp_path / "index.html").write_text(
+        '<p id="here"></p><a href="#here"></a><a href="#gone"></a><a href="a/b.html#there"></a><a href="a/b.html#gone"></a>'
+        '<a href="https://example.org/x"></a><a href="a"></a><img src="c%20d.png">'
+    )
+    (tmp_path / "a" / "b.html").write_text('<a id="there" href="../index.html"></a><a href="../../outside.html"></a>')
+    (tmp_path / "c d.png").write_bytes(b"")
+    expected = ["a/b.html: ../../outside.html", "index.html: #gone", "index.html: a/b.html#gone", "index.html: a"]
+    assert broken(tmp_path) == expected
