@@ -93,6 +93,24 @@ def test_every_documented_module_exists():
             assert importlib.import_module(module).__doc__, module
 
 
+def test_every_public_name_of_a_documented_module_says_what_it_is():
+    silent = []
+    for page in (DOCS / "reference" / "api").glob("*.rst"):
+        for module in re.findall(r"^\.\. automodule:: (\S+)", page.read_text(encoding="utf-8"), re.M):
+            path = ROOT.joinpath(*module.split("."))
+            file = path.with_suffix(".py") if path.with_suffix(".py").is_file() else path / "__init__.py"
+            for node in ast.parse(file.read_text(encoding="utf-8")).body:
+                inside = node.body if isinstance(node, ast.ClassDef) else []
+                silent += [
+                    f"{module}.{found.name}"
+                    for found in (node, *inside)
+                    if isinstance(found, ast.FunctionDef | ast.ClassDef)
+                    and not found.name.startswith("_")
+                    and not ast.get_docstring(found)
+                ]
+    assert not silent
+
+
 def test_every_page_is_in_a_table_of_contents():
     listed: set[Path] = set()
     for page in [*DOCS.rglob("*.md"), *DOCS.rglob("*.rst")]:

@@ -27,6 +27,7 @@ def sage_husa_memory(rows: int, forgetting: float = 0.98) -> Array:
 
 
 def sage_husa(memory, residual, s, r, h, p):
+    """R of each channel from its innovations, with exponential forgetting; at least `LEAST_SHARE` of what is stated."""
     weight = 1.0 - memory[FORGETTING]
     for i in range(residual.shape[0]):
         stated, predicted = r[i], s[i, i] - r[i]
@@ -45,6 +46,7 @@ def strong_tracking_memory(rows: int, forgetting: float = 0.95) -> Array:
 
 
 def strong_tracking(memory, residual, s, r, h, p):
+    """The factor by which P is multiplied so that the innovations' mean square is what it should be."""
     mean_square = memory[FIRST : FIRST + residual.shape[0]]
     smooth_innovations(mean_square, residual, memory[FORGETTING], memory[COUNT] == 0.0)
     memory[COUNT] += 1.0
