@@ -40,7 +40,7 @@ docs: $(DOCS)
 setup: $(STAMP)
 
 # What runs and compares Kalman filters; the rest (tests, torch, peers, file formats) comes with the first `make test`.
-# Bytecode of modules that nobody imports is not made: more than half of it, in size and in time.
+# Bytecode of modules that nobody imports is not made: more than half of it.
 $(CORE): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --no-compile -e .
