@@ -28,6 +28,23 @@ def test_no_requirement_of_the_core_is_torch():
     assert core and not [r for r in core if re.match(r"torch\b", r)]
 
 
+def test_no_package_of_the_core_brings_what_documents_and_tests():
+    """Of all that the core's requirements require in turn, none is Sphinx, pytest or torch."""
+    todo, seen = ["navigation-testbed"], set()
+    while todo:
+        name = todo.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        try:
+            wanted = importlib.metadata.requires(name) or []
+        except importlib.metadata.PackageNotFoundError:  # only for another platform or Python
+            continue
+        todo += [re.match(r"[\w.-]+", r)[0].lower() for r in wanted if "extra ==" not in r]
+    assert {"numpy", "scipy", "llvmlite"} < seen
+    assert not seen & {"sphinx", "pytest", "torch", "numpydoc", "babel"}
+
+
 def test_every_estimator_loads_without_torch():
     done = subprocess.run([sys.executable, "-c", LOAD_ALL], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

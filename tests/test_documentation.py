@@ -93,6 +93,24 @@ def test_every_documented_module_exists():
             assert importlib.import_module(module).__doc__, module
 
 
+def test_every_public_name_of_a_documented_module_says_what_it_is():
+    silent = []
+    for page in (DOCS / "reference" / "api").glob("*.rst"):
+        for module in re.findall(r"^\.\. automodule:: (\S+)", page.read_text(encoding="utf-8"), re.M):
+            path = ROOT.joinpath(*module.split("."))
+            file = path.with_suffix(".py") if path.with_suffix(".py").is_file() else path / "__init__.py"
+            for node in ast.parse(file.read_text(encoding="utf-8")).body:
+                inside = node.body if isinstance(node, ast.ClassDef) else []
+                silent += [
+                    f"{module}.{found.name}"
+                    for found in (node, *inside)
+                    if isinstance(found, ast.FunctionDef | ast.ClassDef)
+                    and not found.name.startswith("_")
+                    and not ast.get_docstring(found)
+                ]
+    assert not silent
+
+
 def test_every_page_is_in_a_table_of_contents():
     listed: set[Path] = set()
     for page in [*DOCS.rglob("*.md"), *DOCS.rglob("*.rst")]:
@@ -128,3 +146,18 @@ def test_a_script_of_the_gallery_draws(name, monkeypatch, tmp_path):
     runpy.run_path(str(script))
     plt.close("all")
     assert len(drawn) == 1 and all(axes.has_data() for axes in drawn[0].axes)
+
+
+def test_links_that_lead_nowhere_are_found(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS / "extensions"))
+    from links import broken
+
+    (tmp_path / "a").mkdir()
+    (tmp_path / "index.html").write_text(
+        '<p id="here"></p><a href="#here"></a><a href="#gone"></a><a href="a/b.html#there"></a><a href="a/b.html#gone"></a>'
+        '<a href="https://example.org/x"></a><a href="a"></a><img src="c%20d.png">'
+    )
+    (tmp_path / "a" / "b.html").write_text('<a id="there" href="../index.html"></a><a href="../../outside.html"></a>')
+    (tmp_path / "c d.png").write_bytes(b"")
+    expected = ["a/b.html: ../../outside.html", "index.html: #gone", "index.html: a/b.html#gone", "index.html: a"]
+    assert broken(tmp_path) == expected

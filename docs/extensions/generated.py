@@ -94,15 +94,11 @@ def first_paragraph(text: str | None) -> str:
 
 def scenario_pages() -> dict[str, str]:
     """A page for each table of a scenario: every key with what it takes, unit, range, default, meaning, examples."""
-    from testbed.scenario import Scenario
-    from testbed.scenario.explain import keys
-    from testbed.training.dataset import DatasetConfig
-    from testbed.tuning.config import TuneConfig
+    from testbed.cli.explain import scenario_keys
 
     by_table: dict[str, list[Any]] = {}
-    for key in keys(Scenario):
+    for key in scenario_keys():
         by_table.setdefault(key.path.split(".")[0], []).append(key)
-    by_table["extra"] += [*keys(DatasetConfig, "extra.dataset"), *keys(TuneConfig, "extra.tune")]
     return {name: _scenario_page(name, found) for name, found in by_table.items()}
 
 

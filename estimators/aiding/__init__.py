@@ -16,6 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.data.registry import note_part
+
 Array = NDArray[np.float64]
 Columns = Mapping[str, int]
 """First column in ``h`` of each block that the filter carries."""
@@ -64,4 +66,5 @@ AIDINGS: dict[str, Aiding] = {}
 def add_aiding(aiding: Aiding) -> Aiding:
     """Make an aiding known by its name."""
     AIDINGS[aiding.name] = aiding
+    note_part(aiding.name)
     return aiding

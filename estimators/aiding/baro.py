@@ -31,6 +31,7 @@ def heights(log: SensorLog, columns: Columns) -> Measurements:
 
 
 def measure_height(state, imu, parameters, z, residual, h):
+    """Height of the standard atmosphere (1,), m, against the state's height and the barometer's bias."""
     column = int(parameters[0])
     predicted = state[2]
     h[0, 2] = -1.0

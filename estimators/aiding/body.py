@@ -70,6 +70,7 @@ def mounting(state, parameters):
 
 
 def measure_odometer(state, imu, parameters, z, residual, h):
+    """Speed of the wheel along its way (1,), m/s, with its scale error and the direction in which it rolls."""
     about_y, about_z = mounting(state, parameters)
     speed, v_b = speed_along(state, imu, parameters, (1.0, about_z, -about_y), h, 0)
     scale, column = column_of(parameters, SCALE), column_of(parameters, MOUNTING)
@@ -87,6 +88,7 @@ def measure_odometer(state, imu, parameters, z, residual, h):
 
 
 def measure_sideways(state, imu, parameters, z, residual, h):
+    """Speed across and below a wheel that does not slip (2,), m/s: zero."""
     about_y, about_z = mounting(state, parameters)
     side, v_b = speed_along(state, imu, parameters, (-about_z, 1.0, 0.0 * about_z), h, 0)
     down, _ = speed_along(state, imu, parameters, (about_y, 0.0 * about_y, 1.0), h, 1)
@@ -99,6 +101,7 @@ def measure_sideways(state, imu, parameters, z, residual, h):
 
 
 def measure_standstill(state, imu, parameters, z, residual, h):
+    """Velocity of a vehicle that stands (3,), m/s: zero."""
     for i in range(3):
         residual[i] = z[i] - state[3 + i]
         h[i, 3 + i] = 1.0

@@ -111,15 +111,18 @@ def velocity_of_antenna(state, imu, parameters, z, residual, h, row):
 
 
 def measure_fix(state, imu, parameters, z, residual, h):
+    """Position (rad, rad, m) and velocity (m/s) of a fix (6,), at its antenna."""
     place_of_antenna(state, parameters, z, residual, h, 0)
     velocity_of_antenna(state, imu, parameters, z, residual, h, 3)
 
 
 def measure_place(state, imu, parameters, z, residual, h):
+    """Position of a fix alone (3,), rad, rad, m, at its antenna."""
     place_of_antenna(state, parameters, z, residual, h, 0)
 
 
 def measure_velocity(state, imu, parameters, z, residual, h):
+    """Velocity of a fix alone (3,), m/s, at its antenna."""
     velocity_of_antenna(state, imu, parameters, z, residual, h, 0)
 
 

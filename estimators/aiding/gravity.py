@@ -39,6 +39,7 @@ def levels(log: SensorLog, columns: Columns, window_s: float = 0.2, rate_hz: flo
 
 
 def measure_level(state, imu, parameters, z, residual, h):
+    """Specific force (3,), m/s², of a vehicle that hardly accelerates: gravity, turned into b."""
     m, column = quat_to_matrix(attitude(state)), int(parameters[0])
     up = -earth.gravity(state[0], state[2])
     for i in range(3):

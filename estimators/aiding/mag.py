@@ -42,6 +42,7 @@ def fields(log: SensorLog, columns: Columns) -> Measurements:
 
 
 def measure_field(state, imu, parameters, z, residual, h):
+    """Magnetic field (3,), µT, in b: that of place and date, with the magnetometer's hard iron and distortion."""
     m, field = quat_to_matrix(attitude(state)), triple(parameters, 0)
     iron, distortion = int(parameters[HARD_IRON]), int(parameters[DISTORTION])
     zero = 0.0 * state[0]
@@ -83,6 +84,7 @@ def headings(log: SensorLog, columns: Columns) -> Measurements:
 
 
 def measure_heading(state, imu, parameters, z, residual, h):
+    """Heading (1,), rad, of the horizontal part of the measured field."""
     m, iron = quat_to_matrix(attitude(state)), int(parameters[1])
     zero = 0.0 * state[0]
     field = (zero + z[0], zero + z[1], zero + z[2])

@@ -118,6 +118,7 @@ def _put_row(h, first, a, sign):
 
 
 def measure_pseudorange(state, imu, parameters, z, residual, h):
+    """Range to a satellite (1,), m, with the receiver's clock and what else makes it too long."""
     distance, u, _, arm, _ = _sight(state, parameters, z)
     clock, isb = int(parameters[CLOCK]), int(parameters[ISB])
     predicted = distance + state[1 + clock]
@@ -146,6 +147,7 @@ def measure_pseudorange(state, imu, parameters, z, residual, h):
 
 
 def measure_doppler(state, imu, parameters, z, residual, h):
+    """Range rate to a satellite (1,), m/s, with the drift of the receiver's clock."""
     distance, u, axes, arm, m = _sight(state, parameters, z)
     lever, drift = triple(parameters, 0), int(parameters[CLOCK]) + 1
     _, sweep, drag = lever_arm(m, lever, triple(imu, 0), state[0])

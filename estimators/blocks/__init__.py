@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.data.records import SensorLog
+from testbed.data.registry import note_part
 
 Array = NDArray[np.float64]
 
@@ -76,6 +77,7 @@ BLOCKS: dict[str, Block] = {}
 def add_block(block: Block) -> Block:
     """Make a block known by its name."""
     BLOCKS[block.name] = block
+    note_part(block.name)
     return block
 
 

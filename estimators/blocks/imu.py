@@ -119,38 +119,45 @@ def g_sensitivity_process(log: SensorLog) -> Process:
 
 
 def bias_of_accel(aux, imu, accel, gyro):
+    """Three biases, m/s²: each adds itself to its axis."""
     for i in range(3):
         accel[i, i] = 1.0
 
 
 def bias_of_gyro(aux, imu, accel, gyro):
+    """Three biases, rad/s: each adds itself to its axis."""
     for i in range(3):
         gyro[i, i] = 1.0
 
 
 def scale_of_accel(aux, imu, accel, gyro):
+    """Three scale factor errors: each adds its share of the specific force on its axis."""
     for i in range(3):
         accel[i, i] = imu[3 + i]
 
 
 def scale_of_gyro(aux, imu, accel, gyro):
+    """Three scale factor errors: each adds its share of the rate on its axis."""
     for i in range(3):
         gyro[i, i] = imu[i]
 
 
 def misalignment_of_accel(aux, imu, accel, gyro):
+    """Six off-diagonal terms, two of an axis: each adds its share of the specific force on another axis."""
     for i in range(3):
         accel[2 * i, i] = imu[3 + (1 if i == 0 else 0)]
         accel[2 * i + 1, i] = imu[3 + (1 if i == 2 else 2)]
 
 
 def misalignment_of_gyro(aux, imu, accel, gyro):
+    """Six off-diagonal terms, two of an axis: each adds its share of the rate on another axis."""
     for i in range(3):
         gyro[2 * i, i] = imu[1 if i == 0 else 0]
         gyro[2 * i + 1, i] = imu[1 if i == 2 else 2]
 
 
 def g_of_gyro(aux, imu, accel, gyro):
+    """Nine terms of g-sensitivity, (rad/s)/(m/s²): each adds its share of a specific force to a rate."""
     for i in range(3):
         for j in range(3):
             gyro[3 * i + j, i] = imu[3 + j]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
+from testbed.data.registry import note_part
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,7 @@ POLICIES: dict[str, Policy] = {}
 def add_policy(policy: Policy) -> Policy:
     """Make a policy known by its name; also for a plug-in's own."""
     POLICIES[policy.name] = policy
+    note_part(policy.name)
     return policy
 
 

@@ -18,14 +18,21 @@ better than any receiver states by mistake."""
 
 
 def sage_husa_memory(rows: int, forgetting: float = 0.98) -> Array:
-    """``forgetting`` b per sample: memory 1 / (1 - b) samples, 50 at the default, whose variance is known to 20 %."""
+    """``forgetting`` b per sample: memory 1 / (1 - b) samples, 50 at the default, whose variance is known to 20 %.
+
+    The stated variance stands for one such memory of samples before the first: of a single innovation R would be a number with
+    one degree of freedom, and the first fixes, at which a filter learns most, would be weighed by chance.
+    """
     return np.concatenate([[0.0, fraction("sage-husa forgetting", forgetting)], np.zeros(rows)])
 
 
 def sage_husa(memory, residual, s, r, h, p):
-    weight = (1.0 - memory[FORGETTING]) / (1.0 - memory[FORGETTING] ** (memory[COUNT] + 1.0))
+    """R of each channel from its innovations, with exponential forgetting; at least `LEAST_SHARE` of what is stated."""
+    weight = 1.0 - memory[FORGETTING]
     for i in range(residual.shape[0]):
         stated, predicted = r[i], s[i, i] - r[i]
+        if memory[COUNT] == 0.0:
+            memory[FIRST + i] = stated
         seen = residual[i] * residual[i] - predicted
         memory[FIRST + i] += weight * (seen - memory[FIRST + i])
         r[i] = max(memory[FIRST + i], LEAST_SHARE * stated)
@@ -39,6 +46,7 @@ def strong_tracking_memory(rows: int, forgetting: float = 0.95) -> Array:
 
 
 def strong_tracking(memory, residual, s, r, h, p):
+    """The factor by which P is multiplied so that the innovations' mean square is what it should be."""
     mean_square = memory[FIRST : FIRST + residual.shape[0]]
     smooth_innovations(mean_square, residual, memory[FORGETTING], memory[COUNT] == 0.0)
     memory[COUNT] += 1.0

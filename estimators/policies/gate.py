@@ -33,6 +33,7 @@ def normalised_square(residual, s):
 
 
 def judge(memory, residual, s, r, h, p):
+    """1 where the normalised square of the innovation passes its chi-square bound, else 0."""
     return 1.0 if normalised_square(residual, s) < memory[0] else 0.0
 
 
@@ -58,6 +59,7 @@ def threshold_and_share(rows: int, one: float = 0.9999) -> Array:
 
 
 def judge_each(memory, residual, s, r, h, p):
+    """The same for a single satellite, with a way back where most are refused."""
     square = normalised_square(residual, s)
     refused = square >= memory[0]
     memory[1] += MEMORY * ((1.0 if refused else 0.0) - memory[1])

@@ -18,6 +18,7 @@ def huber_memory(rows: int, k: float = 1.345) -> Array:
 
 
 def huber(memory, residual, s, r, h, p):
+    """R grows where an innovation passes k sigmas, so that its weight falls as k over its size."""
     for i in range(residual.shape[0]):
         t = np.abs(residual[i]) / np.sqrt(s[i, i])
         if t > memory[0]:
@@ -33,6 +34,7 @@ def igg3_memory(rows: int, k0: float = 1.5, k1: float = 6.0) -> Array:
 
 
 def igg3(memory, residual, s, r, h, p):
+    """Full weight to k0 sigmas, less to k1, none beyond."""
     k0, k1 = memory[0], memory[1]
     for i in range(residual.shape[0]):
         t = np.abs(residual[i]) / np.sqrt(s[i, i])

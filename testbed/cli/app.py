@@ -230,7 +230,7 @@ def allan_command(
     ],
     sensor: Annotated[str, typer.Option("--sensor", help="Name of the catalogue entry that is written.")] = "mine",
     mapping: Annotated[
-        Path | None, typer.Option("--map", help="TOML file with a table [columns] for a table of other names or units.")
+        Path | None, typer.Option("--map", help="TOML file whose table 'columns' maps other names and units.")
     ] = None,
     out: OutOption = None,
 ) -> None:
@@ -253,10 +253,12 @@ def import_command(
     out: Annotated[Path, typer.Option("--out", help="Folder for the sensor log.")],
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="A key of [recording], e.g. imu.model=ADIS16448, start_s=20."),
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="A key of the table 'recording', e.g. imu.model=ADIS16448, start_s=20."
+        ),
     ] = None,
     mapping: Annotated[
-        Path | None, typer.Option("--map", help="TOML file with a table [columns] for tables of other names or units.")
+        Path | None, typer.Option("--map", help="TOML file whose table 'columns' maps other names and units.")
     ] = None,
 ) -> None:
     """Recorded data into a sensor log that every estimator can run on."""

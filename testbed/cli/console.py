@@ -80,14 +80,19 @@ def progress_line(what: str, note: Callable[[], str] = str) -> Iterator[Callable
     import time
 
     start, told = time.monotonic(), -1
+    first: tuple[float, int] | None = None  # when the first ones were done: before, filters are compiled
 
     def tell(done: int, total: int) -> None:
-        nonlocal told
+        nonlocal told, first
+        if first is None and done:
+            first = time.monotonic(), done
         tenth = 10 * done // max(total, 1)
         if tenth > told:
             told = tenth
             elapsed = time.monotonic() - start
-            left = f", {elapsed / done * (total - done):.0f} s left" if done else ""
+            since, before = first or (start, 0)
+            rate = (done - before) / max(time.monotonic() - since, 1e-9)
+            left = f", {(total - done) / rate:.0f} s left" if rate > 0.0 and done < total else ""
             print(f"{what}: {done} of {total}, {elapsed:.0f} s{left}", file=sys.stderr, flush=True)
 
     yield tell

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 
 from testbed.base.errors import InputError, nearest
 from testbed.base.schema import unwrap
 from testbed.cli.listing import print_columns
 from testbed.scenario import Scenario
 from testbed.scenario.explain import Key, examples, find, keys
+from testbed.sensors import catalog
 from testbed.sensors.config import SensorTable
+
+
+def scenario_keys() -> list[Key]:
+    """Every key of a scenario, those of the tables that go with it (``extra.dataset``, ``extra.tune``) included."""
+    from testbed.training.dataset import DatasetConfig
+    from testbed.tuning.config import TuneConfig
+
+    inside = [*keys(DatasetConfig, "extra.dataset"), *keys(TuneConfig, "extra.tune")]
+    return [*keys(Scenario), *inside]
 
 
 def explain(path: str | None) -> None:
@@ -20,20 +31,23 @@ def explain(path: str | None) -> None:
         print("\ntestbed explain KEY tells more, for example: testbed explain sensors.gnss.outages")
         return
     try:
-        found = find(Scenario, path)
+        if _explain_extra(path.strip("[]. ")):
+            return
+        every = scenario_keys()
+        # an end of a path, such as bank_deg, is one of the scenario's own tables
+        found = find(every if "extra." in path else [key for key in every if not key.path.startswith("extra.")], path)
     except InputError:
         if not _explain_figure(path):
             raise
         return
     for number, key in enumerate(found):
         print("\n" * bool(number) + _described(key))
-    inside = [key for key in keys(Scenario) if key.path.rpartition(".")[0] == found[0].path]
+    inside = [key for key in scenario_keys() if key.path.rpartition(".")[0] == found[0].path]
     if inside:
-        print()
-        inner = list(
-            dict.fromkeys((key.name, textwrap.shorten(key.default, 50), _plain(key.meaning)) for key in inside)
-        )
-        print_columns(("key", "default", "meaning"), inner)
+        _print_inside(inside)
+        if (kind := _sensor_of(found[0].path)) is not None:
+            told = ", ".join(key for key in catalog.keys(kind.kind) if key not in kind.model_fields)
+            print("\n" + textwrap.fill(f"figures that take the place of the catalogue entry's: {told}", 100))
     elif shown := examples(found[0].path):
         print("\nin shipped scenarios:")
         print(
@@ -41,6 +55,29 @@ def explain(path: str | None) -> None:
                 textwrap.shorten(f"{name}: {found[0].name} = {value}", 110, placeholder=" ...") for name, value in shown
             )
         )
+
+
+def _print_inside(inside: Sequence[Key]) -> None:
+    """A row for each key of a table."""
+    print()
+    inner = list(dict.fromkeys((key.name, textwrap.shorten(key.default, 50), _plain(key.meaning)) for key in inside))
+    print_columns(("key", "default", "meaning"), inner)
+
+
+def _explain_extra(path: str) -> bool:
+    """The keys of a table below ``extra``, which no key of its own stands for; False where the path is another."""
+    inside = [key for key in scenario_keys() if key.path.rpartition(".")[0] == path]
+    if not path.startswith("extra.") or not inside:
+        return False
+    print(f"{path}\n{textwrap.fill(_plain((inside[0].table.__doc__ or '').strip()), 100)}")
+    _print_inside(inside)
+    return True
+
+
+def _sensor_of(path: str) -> type[SensorTable] | None:
+    """The table of the sensor ``sensors.NAME``; None for another path."""
+    tables = [kind for key in keys(Scenario) if key.path == path for kind in unwrap(key.field.annotation)]
+    return next((kind for kind in tables if isinstance(kind, type) and issubclass(kind, SensorTable)), None)
 
 
 def _described(key: Key) -> str:
@@ -59,13 +96,8 @@ def _plain(text: str) -> str:
 
 def _explain_figure(path: str) -> bool:
     """A figure of a sensor, which replaces the catalogue entry's; False where the path is of no sensor."""
-    from testbed.sensors import catalog
-
     sensor = path.split(".")[1] if path.startswith("sensors.") else ""
-    tables = [
-        kind for key in keys(Scenario) if key.path == f"sensors.{sensor}" for kind in unwrap(key.field.annotation)
-    ]
-    table = next((kind for kind in tables if isinstance(kind, type) and issubclass(kind, SensorTable)), None)
+    table = _sensor_of(f"sensors.{sensor}")
     if table is None:
         return False
     figure = path.removeprefix(f"sensors.{sensor}.")

@@ -23,6 +23,7 @@ GROUP = "testbed.estimators"
 
 
 _plugins: dict[str, type] = {}
+_parts: list[str] = []
 
 
 @cache
@@ -133,8 +134,16 @@ def _sentence(kind: type, key: str) -> str:
     return ""
 
 
+def note_part(name: str) -> None:
+    """Say that a part from which filters are composed was made known: what a plug-in may hold instead of an estimator."""
+    _parts.append(name)
+
+
 def load_plugin(path: str | Path) -> list[str]:
-    """Load a Python file that the user named and register every estimator class in it; returns their names."""
+    """Load a Python file that the user named and register every estimator class in it; returns their names.
+
+    A file that only makes parts of filters known (`note_part`) is one, too. Raises InputError for one with neither.
+    """
     path = Path(path).resolve()
     if not path.is_file():
         raise InputError(f"{path}: no such plug-in file")
@@ -144,6 +153,7 @@ def load_plugin(path: str | Path) -> list[str]:
         raise InputError(f"{path}: not a Python file; a plug-in ends in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[module_name] = module
+    parts = len(_parts)
     try:
         spec.loader.exec_module(module)
     except Exception as error:
@@ -156,8 +166,11 @@ def load_plugin(path: str | Path) -> list[str]:
         and callable(getattr(kind, "run", None))
         if kind.__module__ == module_name
     }
-    if not found:
-        raise InputError(f"{path}: no estimator in it; it needs a class with a 'name' and a method run(log)")
+    if not found and len(_parts) == parts:
+        raise InputError(
+            f"{path}: no estimator in it; it needs a class with a 'name' and a method run(log), or a part of a filter that it"
+            " makes known, such as add_policy(...)"
+        )
     for name in found:
         if name in _entries():
             raise InputError(f"{path}: '{name}' is the name of an estimator that ships; give yours another")

@@ -256,7 +256,8 @@ def _read_part(path: Path, part: str, mapping: dict[str, str], base: int | None)
         unit = next(iter(column_units.UNITS[REQUIRED[part][missing[0]]]))
         example = f"{missing[0]}_{unit}"
         raise InputError(
-            f"{path}: no column for {', '.join(missing)} (such as {example}); {nearest(example, map(str, frame.columns))}"
+            f"{path}: no column for {', '.join(missing)} (such as {example}); {nearest(example, map(str, frame.columns))}. Other"
+            ' names are read with a mapping, a TOML file with [columns] and lines such as wx = "gyro_x_dps" (--map FILE)'
         )
     if "lat" in out:
         check_place(out["lat"], out["lon"], str(path))

@@ -53,10 +53,12 @@ def render(result_dir: str | Path, svg: bool = True) -> None:
             folder.write(index.ENTRY, as_json(index.entry_of(result)))
             folder.write("report.html", html.page(result).encode())
 
-        figure_tasks = [
-            partial(figures.save, drawing, folder.out / "figures" / name, svg) for name, drawing in drawn.items()
-        ]
-        share([write_texts, *figure_tasks], os.cpu_count() or 1)
+        figure_tasks = {
+            name: partial(figures.save, drawing, folder.out / "figures" / name, svg) for name, drawing in drawn.items()
+        }
+        for name in [name for name in drawn if f"(figures/{name})" in result.findings]:
+            figure_tasks.pop(name)()  # the page embeds what stands between its findings
+        share([write_texts, *figure_tasks.values()], os.cpu_count() or 1)
         for name in names:
             folder.finish(name)
         folder.save()

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from testbed.report import geometry, run_charts, sky_charts
+from testbed.report import chosen_runs, geometry, normalised, run_charts, sky_charts
 from testbed.report.headline import Headline
 from testbed.report.labels import DASHES, component_label
 from testbed.report.results import Result, thin
@@ -333,7 +333,14 @@ def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
             if len(f) and e in colours
         }
         found["innovations"] = {"views": views}
+        tests = {
+            e: normalised.chart(e, result.innovations[e], colours[e], spans, phases) for e in order if e in colours
+        }
+        if tests := {e: drawn for e, drawn in tests.items() if drawn is not None}:
+            found["normalised"] = {"views": tests}
     found |= run_charts.charts(result, colours, lead.winner)
+    if views := _single_runs(result, lead, colours):
+        found["runs"] = {"views": views, "band": lead.winner, "bands": list(runs)}
     if len(result.satellites):
         found["sky"] = {"views": {"": sky_charts.sky(result.satellites)}}
         found["satellites"] = {"views": {"": sky_charts.over_time(result.satellites, spans, phases)}}
@@ -343,6 +350,20 @@ def charts(result: Result, lead: Headline) -> dict[str, dict[str, Any]]:
         }
     if len(result.timings):
         found["timings"] = {"views": {"": timings(result.timings, result.estimators, colours)}}
+    return found
+
+
+def _single_runs(result: Result, lead: Headline, colours: Mapping[str, int]) -> dict[str, Figure]:
+    """Errors of other runs than the first, in the first group of quantities that anybody has."""
+    found: dict[str, Figure] = {}
+    same = not result.flights_vary and "random_outages" not in result.scenario.get("sensors", {}).get("gnss", {})
+    spans, phases = (result.outages, result.phases) if same else ((), ())
+    for name, frames in chosen_runs.views(result, lead).items():
+        columns = set().union(*frames.values())
+        quantities = next((group for group in GROUPS.values() if set(group) & columns), None)
+        if quantities is not None:
+            full = {label: f.reindex(columns=list(dict.fromkeys([*f, *quantities]))) for label, f in frames.items()}
+            found[name] = error_traces(full, quantities, colours, spans, phases)
     return found
 
 
@@ -357,13 +378,10 @@ def _open_gaps(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _ranges(errors: Mapping[str, pd.DataFrame], quantities: Sequence[str]) -> list[list[float] | None]:
-    """A first view that shows the better estimators where the worst is more than 30 times larger; None: fit all."""
+    """A first view for each panel as `geometry.first_view` says; None: fit all."""
     found: list[list[float] | None] = []
     for quantity in quantities:
-        sizes = sorted(float(np.nanmax(np.abs(f[quantity]))) for f in errors.values() if f[quantity].notna().any())
-        if len(sizes) < 2 or sizes[-1] <= 30 * sizes[0]:
-            found.append(None)
-            continue
-        good = max(s for s in sizes if s <= 10 * sizes[0])
-        found.append([-2.0 * good, 2.0 * good])
+        sizes = [float(np.nanmax(np.abs(f[quantity]))) for f in errors.values() if f[quantity].notna().any()]
+        limit = geometry.first_view(sizes)
+        found.append(None if limit is None else [-limit, limit])
     return found

@@ -57,7 +57,7 @@ def _receiver(gnss: Mapping[str, Any]) -> list[tuple[str, str]]:
     drawn = f"{random.get('count', '')} drawn of {random.get('duration_s', '?')} s" if random else ""
     return [
         ("GNSS outages", ", ".join(filter(None, (spans, drawn))) or ("none" if gnss else "no receiver")),
-        ("GNSS outliers", _settings(gnss.get("outliers") or {})),
+        ("GNSS outliers", _settings(outliers) if (outliers := gnss.get("outliers") or {}).get("count") else ""),
     ]
 
 

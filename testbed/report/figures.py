@@ -112,7 +112,7 @@ def error_traces(
             ax.plot(t, frame[quantity].to_numpy(), label=label, **style)
     for ax, quantity in zip(axes, quantities, strict=True):
         ax.set_ylabel(axis_title(quantity))
-        _squeeze(ax, [frame[quantity].to_numpy() for frame in errors.values()])
+        _frame(ax, {label: frame[quantity].to_numpy() for label, frame in errors.items()})
     shade(axes, outages, phases)
     legend(figure, axes[0])
     return figure
@@ -178,14 +178,14 @@ def envelopes(table: pd.DataFrame, quantities: Sequence[str], outages: Spans = (
     axes, shown = panels(figure, len(quantities)), list(dict.fromkeys(table["estimator"]))
     for ax, quantity in zip(axes, quantities, strict=True):
         rows = table[table["quantity"] == quantity]
-        found = []
+        found: dict[str, np.ndarray] = {}
         for label, group in rows.groupby("estimator", sort=False):
             t, colour = group["time_s"].to_numpy(), COLOURS[shown.index(label) % len(COLOURS)][0]
-            found.append(group["rms"].to_numpy(dtype=float))
+            found[str(label)] = group["rms"].to_numpy(dtype=float)
             ax.plot(t, group["rms"], color=colour, label=label)
             ax.plot(t, group["sigma"], color=colour, ls=":", lw=0.8)
         ax.set_ylabel(axis_title(quantity))
-        _squeeze(ax, found, signed=False)
+        _frame(ax, found, signed=False)
     shade(axes, outages, phases)
     legend(figure, axes[0])
     return figure
@@ -341,12 +341,14 @@ def save(drawing: Drawing, path: Path, svg: bool = True) -> None:
             write_with(path.with_suffix(".svg"), partial(figure.savefig, format="svg", metadata=plain))
 
 
-def _squeeze(ax: Axes, series: Sequence[np.ndarray], signed: bool = True) -> None:
-    """A scale that is linear near zero and logarithmic beyond, where the largest error dwarfs the smallest."""
-    sizes = [np.nanmax(np.abs(s)) for s in series if np.isfinite(s).any()]
-    if len(sizes) > 1 and max(sizes) > 30 * min(sizes) and min(sizes) > 0:
-        threshold = 10.0 ** np.ceil(np.log10(min(sizes)))
-        ax.set_yscale("symlog", linthresh=threshold)
-        ax.yaxis.set_major_formatter(PLAIN)
-        top = 1.3 * max(sizes)
-        ax.set_ylim(-top if signed else 0.0, top)
+def _frame(ax: Axes, series: Mapping[str, np.ndarray], signed: bool = True) -> None:
+    """The limits that the page has, where the largest error dwarfs the smallest; who leaves the frame is named in it."""
+    sizes = {label: float(np.nanmax(np.abs(s))) for label, s in series.items() if np.isfinite(s).any()}
+    if (limit := geometry.first_view(list(sizes.values()))) is None:
+        return
+    ax.set_ylim(-limit if signed else 0.0, limit)
+    beyond = ", ".join(f"{label} to {size:.3g}" for label, size in sizes.items() if size > limit)
+    if beyond:
+        ax.text(
+            0.99, 0.95, f"beyond: {beyond}", transform=ax.transAxes, fontsize=6, ha="right", va="top", color="#666666"
+        )

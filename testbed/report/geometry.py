@@ -5,6 +5,8 @@ Source: radii of curvature of `testbed.physics.earth` at the first point; good t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -28,6 +30,15 @@ def map_limits(east: Array, north: Array) -> tuple[tuple[float, float], tuple[fl
     """Limits of the true track with a margin, so that a diverged estimate cannot shrink the map."""
     margin = 0.08 * max(np.ptp(east), np.ptp(north), 10.0)
     return (east.min() - margin, east.max() + margin), (north.min() - margin, north.max() + margin)
+
+
+def first_view(sizes: Sequence[float]) -> float | None:
+    """The limit of an axis of errors, by the largest of each estimator: twice the largest of those within ten times the best,
+    where the worst is more than 30 times larger; None: all fit."""
+    sizes = sorted(sizes)
+    if len(sizes) < 2 or sizes[-1] <= 30.0 * sizes[0]:
+        return None
+    return 2.0 * max(size for size in sizes if size <= 10.0 * sizes[0])
 
 
 def height_limits(up: Array) -> tuple[float, float]:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import base64
 import gzip
 import json
+import re
+from collections.abc import Collection
 from functools import cache
 from importlib import resources
 from itertools import groupby
@@ -16,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.base.figure_style import COLOURS
-from testbed.report import conditions, innovations, provenance, satellites, tables
+from testbed.report import conditions, innovations, normalised, provenance, satellites, tables
 from testbed.report.charts import charts
 from testbed.report.headline import headline
 from testbed.report.labels import window_label
@@ -42,12 +44,13 @@ def page(result: Result) -> str:
         conditions=conditions.table(result),
         consistency=tables.consistency(result),
         innovations=innovations.table(result),
+        passed=normalised.told(result),
         satellites=satellites.table(result),
         timings=tables.timings(result),
         sensors=sensor_tables(result),
         provenance=provenance.rows(result),
         command=provenance.command(result),
-        findings=markdown(result.findings),
+        findings=markdown(result.findings, pictures=result.folder, only=_pictures(result)),
         charts=drawn,
         sections=_sections(result, drawn),
         data=_pack(json.dumps({"charts": drawn, "colours": COLOURS}, separators=(",", ":"), allow_nan=False).encode()),
@@ -63,6 +66,7 @@ def template(name: str) -> Any:
     loader = jinja2.FunctionLoader(asset)
     environment = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["groupby_run"] = _spans
+    environment.filters["with_links"] = _with_links
     return environment.get_template(name)
 
 
@@ -77,10 +81,11 @@ def document(title: str, kind: str, headline: str, text: str, folder: Path) -> s
     return str(template("document.html.j2").render(**values, style=asset("report.css"), script=asset("index.js")))
 
 
-def markdown(text: str, deeper: int = 2, pictures: Path | None = None) -> str:
+def markdown(text: str, deeper: int = 2, pictures: Path | None = None, only: Collection[str] | None = None) -> str:
     """Markdown as HTML, headings some levels down; markup in the text is shown, not obeyed.
 
-    Pictures are left out, or those that lie in the folder ``pictures`` are embedded.
+    Pictures are left out, or those that lie in the folder ``pictures`` are embedded (of them ``only`` these); in place of
+    another stands its description.
     """
     from markdown_it import MarkdownIt
 
@@ -95,12 +100,31 @@ def markdown(text: str, deeper: int = 2, pictures: Path | None = None) -> str:
             token.tag = f"h{min(6, int(token.tag[1]) + deeper)}"
         for child in token.children or []:
             if child.type == "image" and pictures is not None:
-                child.attrSet("src", _embedded_picture(pictures / str(child.attrGet("src"))))
+                source = str(child.attrGet("src"))
+                if only is not None and source not in only:
+                    child.type, child.tag, child.content = "text", "", child.content
+                else:
+                    child.attrSet("src", _embedded_picture(pictures / source))
     return str(parser.renderer.render(tokens, parser.options, {}))
+
+
+def _pictures(result: Result) -> list[str]:
+    """Names of the result's own figures, which `testbed.report.render` has drawn before the page where findings show them."""
+    return sorted(f"figures/{path.name}" for path in (result.folder / "figures").glob("*.png"))
 
 
 def _embedded_picture(path: Path) -> str:
     return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+
+
+_DOI = re.compile(r"\b(?:doi[: ]\s*)(10\.\d{4,9}/[^\s,;)]*[^\s,;).])", re.IGNORECASE)
+
+
+def _with_links(text: str) -> Any:
+    """The text of a source, escaped, with its DOI as a link."""
+    from markupsafe import Markup, escape
+
+    return Markup(_DOI.sub(r'<a href="https://doi.org/\1">doi:\1</a>', str(escape(text))))
 
 
 def _spans(columns: list[tables.Column]) -> list[tuple[str, int]]:
@@ -130,7 +154,7 @@ def _sections(result: Result, drawn: dict[str, Any]) -> list[tuple[str, str]]:
     found += [("conditions", "Conditions")] if result.scenario else []
     found += [("flight", "Flight")] if "track" in drawn else []
     found += [("errors", "Errors")] if "errors" in drawn else []
-    found += [("spread", "Monte Carlo")] if {"spread", "envelopes"} & set(drawn) else []
+    found += [("spread", "Monte Carlo")] if {"spread", "envelopes", "runs"} & set(drawn) else []
     found += [("consistency", "Consistency")] if {"consistency", "innovations"} & set(drawn) else []
     found += [("satellites", "Satellites")] if "satellites" in drawn else []
     found += [("extras", "Inside the filters")] if "extras" in drawn else []

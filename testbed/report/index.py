@@ -21,6 +21,13 @@ from testbed.report.labels import verdict_kind
 from testbed.report.results import Result, load_result
 
 KINDS = {"good": "reproduced", "part": "in part", "bad": "not reproduced", "open": "not tested"}
+LEGEND = {
+    "good": "the 95 % interval lies above zero and reaches the stated figure; of an equality, inside of its margin",
+    "part": "above zero, but smaller than stated, or carried by a few runs",
+    "bad": "the interval contains zero, or the effect is the opposite one",
+    "open": "too few runs that differ, or they do not decide",
+}
+"""What a verdict of each kind says."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +71,7 @@ def write_index(dirs: list[Path], out: Path, replace_others: bool = False) -> Pa
     reports = [_entry(folder, page.parent) for folder in dirs]
     totals = {kind: sum(report.verdicts[kind] for report in reports) for kind in KINDS}
     entries = _rows(reports)
-    values = {"entries": entries, "reports": len(reports), "kinds": KINDS, "totals": totals}
+    values = {"entries": entries, "reports": len(reports), "kinds": KINDS, "legend": LEGEND, "totals": totals}
     text = html.template("index.html.j2").render(
         style=html.asset("report.css"), script=html.asset("index.js"), **values
     )

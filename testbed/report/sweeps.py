@@ -170,7 +170,7 @@ def write(
         for name in PICTURES:
             save(drawn, folder / name)
     values = values_table(table, keys, metric, window)
-    tex = "% needs \\usepackage{booktabs}\n\n" + latex_table(title, values)
+    tex = "% needs \\usepackage{booktabs}\n\n" + latex_table(title.partition(":")[0], values)
     text = f"## {values.title}, {window_label(window)}\n\n{markdown_table(values)}\n\n![{values.title}](sweep.png)\n"
     where = ", ".join(f"[{name}]({name})" for name in ("sweep.csv", "sweep.tex", *PICTURES))
     text += f"\nEvery metric and window of every point: {where}. `testbed plot` draws another of them.\n"

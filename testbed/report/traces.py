@@ -1,6 +1,6 @@
 """Parts of plotly.js figures: lines, bands, stacked time panels, categories, as plain dictionaries.
 
-Traces carry the ``meta`` that `testbed.report.charts` explains. Numbers are rounded to four significant figures of the largest.
+Traces carry the ``meta`` that `testbed.report.charts` explains. Each number is rounded to five significant figures of its own.
 """
 
 from __future__ import annotations
@@ -109,16 +109,22 @@ def panel_axis(row: int) -> dict[str, str]:
 
 
 def dash_of(index: int) -> str:
-    return DASHES[index // 8 % len(DASHES)] if index >= 8 else "solid"
+    """Each line has another one than its neighbours, so that the lower of two that run together shows in the gaps."""
+    return DASHES[index % len(DASHES)]
 
 
 def rounded(values: Any) -> list[float | None]:
-    """Four significant figures (more where a large offset needs it); null for what is not finite."""
+    """Five significant figures of each number, and of the spread of all where they share a large offset; null for no number.
+
+    Of each, since of the largest a small one on a logarithmic axis would come in steps.
+    """
     x = np.asarray(values, dtype=float)
     finite = np.isfinite(x)
-    size = np.max(np.abs(x[finite])) if finite.any() else 1.0
-    decimals = 0 if size == 0 else int(np.clip(4 - np.floor(np.log10(size)), 0, 12))
-    out: list[float | None] = np.round(x, decimals).tolist()
+    spread = np.ptp(x[finite]) if finite.any() else 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        finest = 4.0 - np.floor(np.log10(np.minimum(np.abs(x), spread if spread > 0.0 else np.inf)))
+    scale = 10.0 ** np.clip(np.where(np.isfinite(finest), finest, 0.0), 0.0, 12.0)
+    out: list[float | None] = (np.round(np.where(finite, x, 0.0) * scale) / scale).tolist()
     for k in np.flatnonzero(~finite):
         out[k] = None
     return out

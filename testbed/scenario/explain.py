@@ -10,7 +10,7 @@ import ast
 import inspect
 import textwrap
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -106,8 +106,8 @@ def keys(model: type[BaseModel], path: str = "", above: tuple[type[BaseModel], .
                 yield from keys(kind, here, (*above, model))
 
 
-def find(model: type[BaseModel], path: str) -> list[Key]:
-    """The keys that a dotted path means: more than one where tables of a list differ by their type.
+def find(every: Sequence[Key], path: str) -> list[Key]:
+    """The keys of ``every`` that a dotted path means: more than one where tables of a list differ by their type.
 
     Places in lists (``manoeuvres.2.bank_deg``, ``manoeuvres.*.bank_deg``) and overlays (``variants.NAME.``, ``profiles.NAME.``)
     may stand in it. Raises InputError with the nearest key for a path that there is not.
@@ -116,7 +116,6 @@ def find(model: type[BaseModel], path: str) -> list[Key]:
     while len(parts) > 2 and parts[0] in FREE:
         parts = parts[2:]
     wanted = ".".join(parts)
-    every = list(keys(model))
     found = [key for key in every if key.path == wanted]
     if not found:
         ends = sorted({key.path for key in every if key.path.endswith(f".{wanted}")})

@@ -1,6 +1,6 @@
 """Allan deviation of inertial sensors, and the random-walk and bias figures that it holds.
 
-Overlapping Allan deviation by the package allantools (Riley, NIST SP 1065); model curve of white noise, first-order
+Overlapping Allan deviation after Riley, NIST SP 1065, eq. 11; model curve of white noise, first-order
 Gauss-Markov bias and rate random walk after IEEE Std 952-1997, annex C. Samples in rad/s or m/s², cluster times in s.
 The fit and its intervals: `testbed.sensors.allan_fit`.
 """
@@ -34,17 +34,18 @@ COLUMNS = ["triad", "axis", "figure", "unit", "fitted", "std", "data_sheet", "di
 
 
 def allan_deviation(samples: Array, rate_hz: float) -> Curve:
-    """Overlapping Allan deviation of one axis (n,)."""
-    import allantools
-
+    """Overlapping Allan deviation of one axis (n,); NIST SP 1065, eq. 11, by the integral (n+1,) of the samples."""
     n = len(samples)
     sizes = np.unique(
         np.round(2.0 ** np.arange(0.0, math.log2(n / FEWEST_CLUSTERS), 1.0 / POINTS_PER_OCTAVE)).astype(int)
     )
     # Without its mean the integrated phase keeps its digits.
     centred = np.asarray(samples, dtype=np.float64) - np.mean(samples)
-    tau, deviation, _, _ = allantools.oadev(centred, rate=rate_hz, data_type="freq", taus=sizes / rate_hz)
-    return Curve(tau, deviation)
+    integral = np.concatenate([[0.0], np.cumsum(centred)])
+    deviation = [
+        np.sqrt(np.mean((integral[2 * m :] - 2.0 * integral[m:-m] + integral[: -2 * m]) ** 2) / 2.0) / m for m in sizes
+    ]
+    return Curve(sizes / rate_hz, np.array(deviation))
 
 
 def pooled(curves: list[Curve]) -> Curve:

@@ -165,8 +165,8 @@ class RandomOutages(Table):
 class OutlierBursts(Table):
     """Stretches of wrong fixes (multipath) at drawn times: each a constant offset in a drawn direction."""
 
-    count: Annotated[int, Field(ge=1)]
-    """How many."""
+    count: Annotated[int, Field(ge=0)]
+    """How many; 0 for none, where a sweep begins."""
     duration_s: Positive = 1.0
     """Of each."""
     offset_m: NonNegative = 50.0

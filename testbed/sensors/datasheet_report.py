@@ -21,7 +21,7 @@ LIMITS_PCT = {"ARW": 3.0, "VRW": 3.0, "bias instability": 15.0, "RRW": 20.0}
 TEXT = """# IMUs of the catalogue at rest
 
 {hours:g} hours of each unit at rest, level, at the rate of its catalogue entry (seed {seed}); overlapping Allan deviation
-(allantools); fit of white noise, first-order Gauss-Markov bias and rate random walk to the curve of the three axes together
+(NIST SP 1065, eq. 11); fit of white noise, first-order Gauss-Markov bias and rate random walk to the curve of the three axes together
 (the mean of their Allan variances). Regenerate with `make reports`. Per-axis figures: [allan.csv](allan.csv).
 
 {table}

@@ -172,6 +172,8 @@ def _dilution(config: GnssConfig, trajectory: Trajectory, t: Array) -> tuple[Arr
 
 
 def _bursts(wanted: OutlierBursts, trajectory: Trajectory, fixes: int, draws: Draws) -> Windows:
+    if not wanted.count:
+        return ()
     if wanted.count > fixes:
         raise InputError(
             f"[sensors.gnss.outliers] {wanted.count} bursts are more than the {fixes} fixes of this flight"

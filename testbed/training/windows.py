@@ -50,6 +50,10 @@ class Windows:
         for shard in self.shards:
             shard.window(0, 1, (*self.inputs, *self.labels))  # says which group is missing
 
+    def __repr__(self) -> str:
+        flights = f"{len(self.shards)} flight{'s' if len(self.shards) != 1 else ''}"
+        return f"{len(self)} windows of {self.length} rows from {flights}: {', '.join(self.inputs)} -> {', '.join(self.labels)}"
+
     def __len__(self) -> int:
         return int(self._ends[-1]) if len(self._ends) else 0
 

@@ -128,3 +128,30 @@ def test_help_and_lists_need_no_heavy_import(tmp_path):
         ("estimators", "ins"),
     ):
         assert word in command_line("list", what, cwd=tmp_path).stdout
+
+
+def test_no_help_line_loses_what_stands_in_brackets():
+    """The help is printed with markup, in which [columns] would be a style, and vanish."""
+    import typer.main
+
+    from testbed.cli import app
+
+    for name, command in typer.main.get_command(app.app).commands.items():
+        for parameter in command.params:
+            assert "[" not in (getattr(parameter, "help", None) or ""), (name, parameter.name)
+
+
+def test_the_time_left_counts_from_the_first_run(monkeypatch, capsys):
+    """Compilation before the first run is no part of the rate: 100 s, then a run a second."""
+    from testbed.cli.console import progress_line
+
+    now = iter([0.0, 0.0, *(t for k in range(1, 11) for t in [100.0 + k] * 3)])
+    monkeypatch.setattr("time.monotonic", lambda: next(now))
+    monkeypatch.setattr("sys.stderr.isatty", lambda: False, raising=False)
+    with progress_line("runs") as tell:
+        tell(0, 10)
+        for done in (1, 2):
+            tell(done, 10)
+    told = capsys.readouterr().err.splitlines()
+    assert told[-1].startswith("runs: 2 of 10") and "left" not in told[0]
+    assert 1.0 <= float(told[-1].split(", ")[-1].removesuffix(" s left")) <= 10.0

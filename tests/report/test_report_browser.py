@@ -122,3 +122,17 @@ def test_index_is_silent(folder: Path, tmp_path: Path) -> None:
     seen = visit(page, "seen.links = document.querySelectorAll('a').length;")
     assert seen["errors"] == [] and seen["requests"] == []
     assert seen["links"] == 1
+
+
+def test_index_fits_a_phone(folder: Path, tmp_path: Path) -> None:
+    """Nothing of it lies outside of 400 px; chromium's window is not made narrower than 500, a frame is."""
+    page = render_index([folder], tmp_path)
+    frame = tmp_path / "frame.html"
+    frame.write_text(
+        f'<html><head></head><body><iframe src="{page.as_uri()}" width="400" height="900"></iframe></body></html>'
+    )
+    script = """
+    const inside = document.querySelector("iframe").contentDocument.documentElement;
+    seen.overflow = Math.max(inside.scrollWidth, ...[...inside.querySelectorAll(".scroll")].map((e) => e.scrollWidth)) - 400;
+    """
+    assert visit(frame, script, 600, "--allow-file-access-from-files")["overflow"] <= 0

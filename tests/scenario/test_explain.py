@@ -37,7 +37,7 @@ def test_every_key_is_described():
     ],
 )
 def test_what_is_known_of_a_key(path, full, takes, unit, default):
-    key = find(Scenario, path)[0]
+    key = find(list(keys(Scenario)), path)[0]
     assert (key.path, key.takes, key.unit) == (full, takes, unit)
     assert key.default.startswith(default)
 
@@ -49,7 +49,15 @@ def test_examples_stand_in_shipped_scenarios():
 @pytest.mark.parametrize(("path", "told"), [("sensors.gnss.outage", "did you mean"), ("foo", "lists the tables")])
 def test_a_key_that_there_is_not(path, told):
     with pytest.raises(InputError, match=told):
-        find(Scenario, path)
+        find(list(keys(Scenario)), path)
+
+
+def test_tables_of_tools_and_figures_of_a_sensor(capsys):
+    explain("extra.dataset")
+    explain("extra.tune.population")
+    explain("sensors.odometer")
+    told = capsys.readouterr().out
+    assert "no training ever sees" in told and "Candidates per iteration" in told and "scale_factor_pct" in told
 
 
 def test_the_verb(capsys):

@@ -199,6 +199,14 @@ def test_outlier_bursts(flight):
     assert np.all(offset[inside] > 1.0)
 
 
+def test_no_outliers_are_none(flight):
+    """Where a sweep over their number begins; also where there would be no room for one."""
+    clean, _ = sense(flight, {"gnss": {"model": "ideal"}})
+    none, errors = sense(flight, {"gnss": {"model": "ideal", "outliers": {"count": 0, "after_s": 400.0}}})
+    assert errors.constants["gnss_outlier_bursts"] == ()
+    np.testing.assert_array_equal(none.gnss.lat, clean.gnss.lat)
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [
