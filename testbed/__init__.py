@@ -11,7 +11,7 @@ The picture, one public function per arrow and one class per noun::
 >>> solution = make_estimator("indirect-kf").run(log)
 >>> table = score(scenario, trajectory, solution)
 
-`run(scenario, out=...)` does all of it over many seeds and writes the report.
+`run(scenario, out)` does all of it over many seeds and returns a `Result`; ``testbed report OUT`` makes its page.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from testbed.base.errors import FlightError, InputError, TestbedError
     from testbed.data.records import InitialState, NavSolution, SensorErrors, SensorLog, Trajectory
     from testbed.data.registry import list_estimators, load_plugin, make_estimator
+    from testbed.montecarlo.result import Result
     from testbed.montecarlo.runner import run
     from testbed.pipeline import fly, score, sense
     from testbed.report.one_run import plot_errors, solution_errors
@@ -38,6 +39,7 @@ _HOME = {
     "testbed.pipeline": ("fly", "score", "sense"),
     "testbed.data.records": ("InitialState", "NavSolution", "SensorErrors", "SensorLog", "Trajectory"),
     "testbed.data.registry": ("list_estimators", "load_plugin", "make_estimator"),
+    "testbed.montecarlo.result": ("Result",),
     "testbed.montecarlo.runner": ("run",),
     "testbed.report.one_run": ("plot_errors", "solution_errors"),
     "testbed.scenario": ("Scenario", "list_scenarios", "load_scenario"),
@@ -48,6 +50,7 @@ __all__ = [
     "InitialState",
     "InputError",
     "NavSolution",
+    "Result",
     "Scenario",
     "SensorErrors",
     "SensorLog",

@@ -95,7 +95,7 @@ def fly(scenario: Scenario | str | Path, run: int = 0) -> Trajectory:
 
     A text is the name of a shipped scenario or the path of a file, here and in `sense` and `score`. Raises FlightError when the aircraft cannot fly the script, InputError when a recording has no reference.
     """
-    scenario = _loaded(scenario)
+    scenario = loaded(scenario)
     if scenario.recording is not None:
         truth = _recorded_truth(scenario, run)
         if scenario.sensors is None:
@@ -111,7 +111,8 @@ def fly(scenario: Scenario | str | Path, run: int = 0) -> Trajectory:
         return fly_flight(config, seed)
 
 
-def _loaded(scenario: Scenario | str | Path) -> Scenario:
+def loaded(scenario: Scenario | str | Path) -> Scenario:
+    """A scenario as it is, or by the name of a shipped one or the path of a file."""
     return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
 
 
@@ -150,7 +151,7 @@ def sense(
 
     For a recording without ``[sensors]``: the recording and None.
     """
-    scenario = _loaded(scenario)
+    scenario = loaded(scenario)
     if scenario.recording is not None and scenario.sensors is None:
         from testbed.formats import holdout, load_recording
 
@@ -210,7 +211,7 @@ def score(
     """
     from testbed.scoring import metrics
 
-    scenario = _loaded(scenario)
+    scenario = loaded(scenario)
     gnss: Any = log.gnss if log is not None else None
     truth = trajectory if log is None else truth_at_imu(trajectory, log)
     return metrics.score(truth, solution, windows_of(scenario, trajectory, log), errors=errors, gnss=gnss)

@@ -25,13 +25,14 @@ from testbed.montecarlo import executors
 from testbed.montecarlo.external import answers_digest
 from testbed.montecarlo.first_run import heading_notes, innovation_notes, pole_notes
 from testbed.montecarlo.folders import check_own
-from testbed.montecarlo.store import FORMAT, KIND, Store, StoreError, batch_of, files_digest, open_result
+from testbed.montecarlo.result import Result
+from testbed.montecarlo.store import FORMAT, KIND, Store, StoreError, batch_of, files_digest
 from testbed.montecarlo.work_unit import Setup, envelope_times
 from testbed.scenario import LONGEST_TIMEOUT_S, Scenario
 from testbed.training.flights import TrainingFlights
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 MOST_RUNS = 1_000_000
 """What the six digits of a stored run's name can number."""
@@ -64,32 +65,8 @@ class Auto:
         yield n
 
 
-@dataclass
-class Result:
-    """A finished batch: where it is stored, and its tables."""
-
-    out: Path
-    runs: pd.DataFrame
-    summary: pd.DataFrame
-    claims: pd.DataFrame
-    timings: pd.DataFrame
-    improvements: pd.DataFrame
-    consistency: pd.DataFrame
-    notes: tuple[str, ...] = ()
-    """What the scenario says without effect, see `testbed.base.notes`."""
-    near_pole: bool = False
-    """Whether the motion comes where Euler angles say little of the attitude."""
-
-    @property
-    def metrics(self) -> pd.DataFrame:
-        """The long table of every run, read from the disk: run, estimator, window, metric, value."""
-        import pandas as pd
-
-        return pd.read_parquet(open_result(self.out).check("metrics.parquet"))
-
-
 def run(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     out: str | Path,
     runs: int | Auto | None = None,
     seed: int | None = None,
@@ -101,7 +78,7 @@ def run(
     progress: Progress | None = None,
     plugins: Sequence[str | Path] = (),
 ) -> Result:
-    """Run a scenario's Monte Carlo and write the result folder ``out``.
+    """Run a scenario's Monte Carlo and write the result folder ``out``; ``testbed report`` makes its page.
 
     ``runs``, ``seed``, ``estimators`` (labels) and ``timeout`` (s, per estimator and run) stand above the scenario's;
     ``jobs`` processes (default: one per core; 1 computes in this process), or a Dask cluster at ``scheduler``.
@@ -110,7 +87,7 @@ def run(
     jobs = jobs if jobs is not None else os.cpu_count() or 1
     if jobs < 1:
         raise InputError(f"--jobs {jobs}: at least one")
-    setup = plan(scenario, runs, seed, estimators, timeout, plugins)
+    setup = plan(pipeline.loaded(scenario), runs, seed, estimators, timeout, plugins)
     scenario = setup.scenario
     identity = {
         "format": FORMAT,

@@ -30,6 +30,20 @@ def test_a_scenario_in_five_lines():
     assert "table" in repr(testbed.load_scenario("navego")) or "navego" in repr(testbed.load_scenario("navego"))
 
 
+def test_a_batch_in_a_line_per_estimator(tmp_path):
+    result = testbed.run("quickstart", tmp_path / "out", runs=2, jobs=1, estimators=["indirect-kf", "ins"])
+    lines = repr(result).splitlines()
+    assert lines[0].endswith("2 runs, 3-D position RMSE") and len(lines) == 4 and "claims" in lines[3]
+    mean = result.metrics.query("estimator == 'ins' and window == 'all' and metric == 'rmse_position_3d_m'")[
+        "value"
+    ].mean()
+    assert f"{mean:.4g} m" in lines[1]
+    figure = result.plot("errors", "indirect-kf", metric="position")
+    assert isinstance(figure, matplotlib.figure.Figure) and len(figure.axes) == 3
+    with pytest.raises(testbed.InputError, match="no figure 'erors'"):
+        result.plot("erors")
+
+
 @pytest.mark.parametrize(
     ("value", "words"),
     [
