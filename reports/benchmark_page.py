@@ -88,6 +88,7 @@ def _path_row(paths: Data, row: Row) -> tuple[str, ...] | None:
     unit = {
         "samples": "sample",
         "steps": "step",
+        "epochs": "epoch",
         "flight_s": "s of flight",
         "calls": "call",
         "evaluations": "evaluation",

@@ -109,7 +109,10 @@ def test_unit_of_the_quickstart(benchmark, what):
     bench = units.Bench(units.Setup(scenario))
     log, _ = pipeline.sense(scenario, bench.trajectory(1), run=1)
     estimators = [make_estimator(entry.name, **entry.params) for entry in scenario.estimators]
-    work = {"unit": lambda: pack(bench.setup, bench.execute(1)), "estimators": lambda: [e.run(log) for e in estimators]}[what]
+    work = {
+        "unit": lambda: pack(bench.setup, bench.execute(1)),
+        "estimators": lambda: [e.run(log) for e in estimators],
+    }[what]
     benchmark.extra_info["samples"] = len(log.imu.t)
     benchmark.pedantic(work, rounds=5, warmup_rounds=1)
 
