@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -67,3 +68,9 @@ def test_estimators_import_the_basic_modules_of_the_bench(graph):
         if name.split(".")[0] == "estimators":
             bench = {need.split(".")[1] for need in needs if need.startswith("testbed.")}
             assert not bench - BASIC, f"{name} imports {sorted(bench - BASIC)} of testbed"
+
+
+def test_scipy_stats_is_left_alone():
+    """Its import takes longer than the rest of a report; quantiles are in `scipy.special`."""
+    paths = [path for package in ("testbed", "estimators") for path in (ROOT / package).rglob("*.py")]
+    assert not [path for path in paths if re.search(r"^\s*(from|import) scipy\.stats", path.read_text(), re.M)]

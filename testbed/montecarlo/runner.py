@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import testbed
 from testbed import pipeline
@@ -30,9 +30,6 @@ from testbed.montecarlo.store import FORMAT, KIND, Store, StoreError, batch_of, 
 from testbed.montecarlo.work_unit import Setup, envelope_times
 from testbed.scenario import LONGEST_TIMEOUT_S, Scenario
 from testbed.training.flights import TrainingFlights
-
-if TYPE_CHECKING:
-    pass
 
 MOST_RUNS = 1_000_000
 """What the six digits of a stored run's name can number."""

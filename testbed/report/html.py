@@ -102,7 +102,7 @@ def markdown(text: str, deeper: int = 2, pictures: Path | None = None, only: Col
             if child.type == "image" and pictures is not None:
                 source = str(child.attrGet("src"))
                 if only is not None and source not in only:
-                    child.type, child.tag, child.content = "text", "", child.content
+                    child.type, child.tag = "text", ""  # its description
                 else:
                     child.attrSet("src", _embedded_picture(pictures / source))
     return str(parser.renderer.render(tokens, parser.options, {}))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from testbed.report.labels import percent
 from testbed.report.results import Result, thin
@@ -35,17 +35,19 @@ GAP = 5.0
 
 def threshold(channels: int, passed: float = PASSED) -> float:
     """Size in sigmas below which the largest of ``channels`` innovations lies with at least the probability ``passed``."""
-    return float(norm.ppf(0.5 * (1.0 + passed ** (1.0 / channels))))
+    return float(ndtri(0.5 * (1.0 + passed ** (1.0 / channels))))
 
 
-def largest(frame: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, int]:
-    """Times (n,), largest normalised innovation (n,) of each update, and the number of channels (``time_s``, ``nu_k``, ``s_k``)."""
+def largest(frame: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Of each update with a number: time (n,), largest normalised innovation (n,), whether it was rejected (n,); and the number
+    of channels (columns ``time_s``, ``nu_k``, ``s_k``, ``rejected``)."""
     names = [str(c).removeprefix("nu_") for c in frame if str(c).startswith("nu_")]
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = np.abs(np.column_stack([frame[f"nu_{k}"] / frame[f"s_{k}"] for k in names]).astype(float))
     sizes[~np.isfinite(sizes)] = np.nan
     known = np.isfinite(sizes).any(axis=1)
-    return frame["time_s"].to_numpy(dtype=float)[known], np.nanmax(sizes[known], axis=1), len(names)
+    refused = frame["rejected"].to_numpy(dtype=bool) if "rejected" in frame else np.zeros(len(frame), dtype=bool)
+    return frame["time_s"].to_numpy(dtype=float)[known], np.nanmax(sizes[known], axis=1), refused[known], len(names)
 
 
 def gaps(t: np.ndarray) -> list[tuple[float, float]]:
@@ -62,20 +64,17 @@ def chart(label: str, tables: Mapping[str, pd.DataFrame], colour: int, outages: 
     rows: list[str] = []
     traces: list[Figure] = []
     for aiding, frame in tables.items():
-        t, size, channels = largest(frame)
+        t, size, refused, channels = largest(frame)
         if not len(t):
             continue
         axis, limit, meta = panel_axis(len(rows)), threshold(channels), {"colour": colour}
-        refused = frame["rejected"].to_numpy(dtype=bool) if "rejected" in frame else np.zeros(len(frame), dtype=bool)
-        shown = thin(pd.DataFrame({"t": t, "size": size, "refused": refused[: len(t)]}), POINTS)
         floor = 0.1 * limit
-        taken = np.maximum(np.where(shown["refused"], np.nan, shown["size"]), floor)
+        taken = thin(pd.DataFrame({"t": t[~refused], "size": np.maximum(size[~refused], floor)}), POINTS)
         dots: Figure = {"mode": "markers", "marker": {"size": 4}}
-        traces.append(trace_line(shown["t"], taken, "taken", meta | {"shown": not rows}, axis, **dots))
-        if shown["refused"].any():
+        traces.append(trace_line(taken["t"], taken["size"], "taken", meta | {"shown": not rows}, axis, **dots))
+        if refused.any():  # each of them: a fault of three samples must not be thinned away
             crosses: Figure = {"mode": "markers", "marker": {"size": 7, "symbol": "x"}}
-            out = shown[shown["refused"]]
-            traces.append(trace_line(out["t"], out["size"], "rejected", meta | {"shown": True}, axis, **crosses))
+            traces.append(trace_line(t[refused], size[refused], "rejected", meta | {"shown": True}, axis, **crosses))
         ends = np.array([t[0], t[-1]])
         dash: dict[str, Any] = {"line": {"dash": "dash", "width": 1.2}}
         words = f"threshold {limit:.2f}"
@@ -98,7 +97,7 @@ def told(result: Result) -> str:
     parts = []
     for label, tables in result.innovations.items():
         for aiding, frame in tables.items():
-            t, size, channels = largest(frame)
+            t, size, _, channels = largest(frame)
             if not len(t):
                 continue
             over = percent(100.0 * float(np.mean(size > threshold(channels))))

@@ -31,14 +31,25 @@ def test_the_threshold_holds_of_independent_innovations_and_more_so_of_others() 
 def test_the_statistic_is_the_largest_of_each_update_and_gaps_are_told() -> None:
     t = np.concatenate([np.arange(0.0, 10.0), np.arange(30.0, 40.0)])
     frame = pd.DataFrame({"time_s": t, "nu_0": 1.0, "nu_1": -6.0, "s_0": 2.0, "s_1": 3.0, "rejected": t == 5.0})
-    when, size, channels = normalised.largest(frame)
-    assert channels == 2 and np.array_equal(when, t) and np.all(size == 2.0)
+    when, size, refused, channels = normalised.largest(frame)
+    assert channels == 2 and np.array_equal(when, t) and np.all(size == 2.0) and np.array_equal(refused, t == 5.0)
     assert normalised.gaps(t) == [(9.0, 30.0)]
     drawn = normalised.chart("kf", {"gnss": frame}, 0, [], [])
     assert drawn is not None
     by_name = {trace["name"]: trace for trace in drawn["data"]}
     assert by_name["rejected"]["x"] == [5.0] and by_name["no update"]["x"] == [9.0, 30.0]
-    assert by_name["taken"]["y"][5] is None
+    assert 5.0 not in by_name["taken"]["x"] and len(by_name["taken"]["x"]) == len(t) - 1
+
+
+def test_every_rejection_is_drawn_at_its_own_time() -> None:
+    """Among more updates than points, behind one without a number."""
+    t = np.arange(5000.0)
+    frame = pd.DataFrame({"time_s": t, "nu_0": 1.0, "s_0": 1.0, "rejected": np.isin(t, [7.0, 8.0, 4999.0])})
+    frame.loc[3, "nu_0"] = np.nan
+    drawn = normalised.chart("kf", {"gnss": frame}, 0, [], [])
+    assert drawn is not None
+    by_name = {trace["name"]: trace for trace in drawn["data"]}
+    assert by_name["rejected"]["x"] == [7.0, 8.0, 4999.0]
 
 
 @pytest.fixture
