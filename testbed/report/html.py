@@ -25,6 +25,7 @@ from testbed.report.labels import window_label
 from testbed.report.results import Result
 from testbed.report.sensors import sensor_tables
 from testbed.report.text import comparison_windows
+from testbed.report.traces import dash_of
 
 ASSETS = resources.files("testbed.report") / "assets"
 
@@ -45,6 +46,7 @@ def page(result: Result) -> str:
         consistency=tables.consistency(result),
         innovations=innovations.table(result),
         passed=normalised.told(result),
+        borders=[BORDERS.get(dash_of(k), "dashed") for k in range(len(result.estimators))],
         satellites=satellites.table(result),
         timings=tables.timings(result),
         sensors=sensor_tables(result),
@@ -117,6 +119,8 @@ def _embedded_picture(path: Path) -> str:
     return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
 
+BORDERS = {"solid": "solid", "dot": "dotted"}
+"""Styles of a border like lines of these dashes; of any other, dashed."""
 _DOI = re.compile(r"\b(?:doi[: ]\s*)(10\.\d{4,9}/[^\s,;)]*[^\s,;).])", re.IGNORECASE)
 
 
