@@ -25,7 +25,7 @@ for place in (ROOT / "studies", ROOT):
 import index  # noqa: E402
 import pages  # noqa: E402
 import pictures  # noqa: E402
-from jobs import Job, Paper, Place, readings, study  # noqa: E402, F401
+from jobs import Job, Kept, Paper, Place, readings, study  # noqa: E402, F401
 
 TOP = ROOT.parent
 MADE = "made.json"
@@ -98,7 +98,11 @@ def make(paper: Paper, job: Job, target: Path, commit: str, options: argparse.Na
     for path in (work, folder):
         path.mkdir(parents=True, exist_ok=True)
     started = time.monotonic()
-    job.make(Place(paper.name, work, folder, made_pages, options.resume, options.trial))
+    try:
+        job.make(Place(paper.name, work, folder, made_pages, options.resume, options.trial))
+    except Kept as missing:
+        print(f"{paper.name}/{job.name}: stays as it is: {missing}")
+        return
     if missing := [name for name in job.tables if not (folder / name).is_file()]:
         sys.exit(f"{paper.name}/{job.name}: left no {', '.join(missing)}")
     entry = {"commit": commit, "inputs": job.digest(paper.name), "minutes": (time.monotonic() - started) / 60.0}

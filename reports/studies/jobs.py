@@ -28,6 +28,10 @@ FIRST, CAP, WIDTH_PCT = 30, 200, 5.0
 """Runs of a claim: from where the mean of skewed errors is near enough to normal, until its interval is so wide, or this many."""
 
 
+class Kept(Exception):
+    """What a job needs (a recording that may not be shipped) is not here: its tables stay as they are. Says what is missing."""
+
+
 @dataclass(frozen=True)
 class Place:
     """Where a job works: ``work`` keeps its runs and ``pages`` its HTML (both untracked), ``target`` its tables."""
@@ -54,6 +58,8 @@ class Job:
     """Stems of ``figures/*.png``."""
     timings: tuple[str, ...] = ()
     """Further text files, which are not compared."""
+    linked: tuple[str, ...] = ()
+    """Of the tables, those that the page names and does not show."""
     title: str = ""
     note: str = ""
     long: bool = False

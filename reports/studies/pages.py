@@ -133,7 +133,9 @@ def job_parts(paper: Paper, job: Job, folder: Path) -> list[str]:
         return []
     parts = [f"## {job.title or job.name}", *([job.note] if job.note else [])]
     for name in job.tables:
-        if "verdicts" in name:
+        if name in job.linked:
+            pass
+        elif "verdicts" in name:
             parts += verdict_parts(read_table(folder / name))
         elif name.endswith("comparison.csv"):
             parts += comparison_parts(paper, job, read_table(folder / name))

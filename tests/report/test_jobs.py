@@ -76,6 +76,15 @@ def test_a_job_that_leaves_no_table_is_not_noted(scripts, tmp_path):
     assert not (tmp_path / "p" / "made.json").exists()
 
 
+def test_a_job_without_its_data_leaves_table_and_note_as_they_are(scripts, tmp_path, capsys):
+    def absent(place):
+        raise scripts.Kept("no recording")
+
+    made_again(scripts, tmp_path, scripts.Paper("p", "P", (scripts.study("absent", absent, 1.0, ("t.csv",)),)))
+    assert "p/absent: stays as it is: no recording" in capsys.readouterr().out
+    assert not (tmp_path / "p" / "made.json").exists()
+
+
 def test_jobs_have_budgets(scripts):
     """No job above 100 minutes; all that `make reports` runs at most 90; names are folders, and no two jobs leave the same file."""
     with pytest.raises(ValueError, match="at most 100"):
