@@ -63,6 +63,9 @@ def row(paper, path: Path) -> str:
         if kind == "depends on":
             told = [f"{word.removeprefix('depends on ')} ({count})" for word, count in words.items()]
             cells.append(", ".join(told) or "–")
+        elif kind == "source inconsistent" and words:
+            tested = Counter(source.loc[source["class"] == kind, "as_tested"])
+            cells.append(f"{words.total()} (as tested: {', '.join(f'{n} {word}' for word, n in tested.items())})")
         else:
             cells.append(str(words.total() or "–"))
     own = Counter(pages.class_of(word) for word in claims.loc[claims["origin"] == "own", "class"])

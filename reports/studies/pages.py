@@ -39,8 +39,9 @@ def write_claims(paper: Paper, folder: Path) -> pd.DataFrame | None:
         for name in [name for name in job.tables if "verdicts" in name and (folder / name).is_file()]:
             for claim, part in read_table(folder / name).groupby("claim", sort=False):
                 text, told = known.get(claim, (part.iloc[0].get("text", claim), told_by_verdict))
+                word, sentence = told(part)
                 number = str(claim) if job.name in ("readings", "verdicts") or not known else f"{job.name}/{claim}"
-                rows.append(row_of_claim(part, number, text) | {"where": told(part)})
+                rows.append(row_of_claim(part, number, text) | {"as_tested": word, "where": sentence})
     if not rows:
         return None
     table = pd.DataFrame(rows)
@@ -57,27 +58,28 @@ def row_of_claim(part: pd.DataFrame, number: str, text: str) -> dict[str, Any]:
 
 
 def scenario_claims(setting: Setting, paper: str) -> dict[str, tuple[str, Any]]:
-    """Of a scenario's claims: text, and what makes a sentence of a claim's verdicts by reading."""
+    """Of a scenario's claims: text, and what makes class (whatever the source contradicts) and sentence of verdicts by reading."""
     from testbed.scoring.readings import standing
 
     scenario = setting.load(paper)
 
     def sentence(claim: Any) -> Any:
-        def told(part: pd.DataFrame) -> str:
+        def told(part: pd.DataFrame) -> tuple[str, str]:
             found = dict(zip(part["reading"], part["verdict"], strict=True))
-            return standing([r for r in scenario.readings if r.name in found], found, claim.contradiction).sentence
+            readings = [r for r in scenario.readings if r.name in found]
+            return standing(readings, found).word, standing(readings, found, claim.contradiction).sentence
 
         return told
 
     return {claim.id or str(k): (claim.text, sentence(claim)) for k, claim in enumerate(scenario.active_claims(), 1)}
 
 
-def told_by_verdict(part: pd.DataFrame) -> str:
-    """Which readings came to which verdict."""
+def told_by_verdict(part: pd.DataFrame) -> tuple[str, str]:
+    """Class, and which readings came to which verdict."""
     words = []
     for verdict, rows in part.groupby("verdict", sort=False):
         words.append(f"{verdict}: {', '.join(rows['reading'])}")
-    return "; ".join(words)
+    return part.iloc[0]["class"], "; ".join(words)
 
 
 def class_of(word: str) -> str:
@@ -253,9 +255,9 @@ def plain(path: Path, columns: tuple[str, ...] = ()) -> list[str]:
 
 def shown(value: Any, number: Any) -> str:
     """Whole numbers as such, others with four figures."""
-    return (
-        f"{value:.0f}" if value == int(value or 0) and abs(value) < 1e6 else number(value, 4) if value == value else "–"
-    )
+    if value != value:
+        return "–"
+    return f"{value:.0f}" if value == round(value) and abs(value) < 1e6 else str(number(value, 4))
 
 
 def markdown(table: Table) -> str:
