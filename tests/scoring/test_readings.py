@@ -183,7 +183,9 @@ def test_the_page_shows_table_plot_and_class(done, tmp_path):
             f"**{row['verdict']}**",
         ]
         assert any(all(f" {cell} |" in line for cell in cells) for line in lines)
-    assert "**depends on noise**. It holds under “quiet”; fails under “loud”; noise: “low” where it holds, “high”" in text
+    assert (
+        "**depends on noise**. It holds under “quiet”; fails under “loud”; noise: “low” where it holds, “high”" in text
+    )
     assert "Page 1: better. Page 2: worse." in text and "How loud it was: quiet." in text
     assert "Of 2 claims of our own: 1 depends on noise, 1 where the source is inconsistent." in page.read_text()
     for picture in sorted((out / "figures").glob("forest-*.png")):
