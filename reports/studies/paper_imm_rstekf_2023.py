@@ -39,12 +39,11 @@ PAPER = Paper(
     source="Amirkabir J. Mech. Eng. 54(12), 2023, doi 10.22060/mej.2023.21380.7441",
     jobs=(
         readings(
-            *("readings", 12.0),
-            cap=60,
+            *("readings", 20.0),
             figures=("monte_carlo",),
             of="correlated, scale factor",
             title="Under every reading",
-            note="From 30 runs on, until every interval is narrower than 5 points, 60 at most. The figure is of the reading *correlated, scale factor*.",
+            note="From 30 runs on, until every interval is narrower than 5 points, 200 at most. The figure is of the reading *correlated, scale factor*.",
         ),
         fading("fading", {}, "white"),
         fading("fading-correlated", CORRELATED, "correlated"),
