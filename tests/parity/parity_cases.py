@@ -96,7 +96,7 @@ EVERYWHERE = (
 )
 IN_OUTAGES = (
     Case("ann", "ann", PATIENT, NO_BIASES, tolerance=LEARNED_TOLERANCE),
-    Case("kfann", "kfann", PATIENT, NO_BIASES, tolerance=LEARNED_TOLERANCE),
+    Case("kfann", "kfann", PATIENT | {"velocity": False}, NO_BIASES, tolerance=LEARNED_TOLERANCE),
 )
 """Without an outage these are `lkf9`."""
 MIXED_BANK = {
