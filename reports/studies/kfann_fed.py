@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from testbed.data.records import NavSolution, SensorLog
 
 SCENARIO = "kfann-2018"
-CASES = tuple((variant, reading) for reading in ("as stated", "matched") for variant in (None, "trajectory-2", "trajectory-3"))
+CASES = tuple(
+    (variant, reading) for reading in ("as stated", "matched") for variant in (None, "trajectory-2", "trajectory-3")
+)
 """Trajectory (a variant) and reading."""
 RUNS = 100
 FIRST_S = 3.0
@@ -187,8 +189,8 @@ def summarise(rows: pd.DataFrame) -> pd.DataFrame:
 def verdicts(rows: pd.DataFrame) -> pd.DataFrame:
     """Claims of every trajectory with R set to the networks' true errors, under both readings of the IMU, as `verdict_rows` has them."""
     import pandas as pd
-
     from study_verdicts import verdict_rows
+
     from testbed.scoring.claims import ClaimConfig, ReadingConfig
 
     parts = []

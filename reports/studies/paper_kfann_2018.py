@@ -11,7 +11,9 @@ PAPER = Paper(
     name="kfann-2018",
     title="KFANN 2018: networks that keep a Kalman filter running through a GPS outage",
     jobs=(
-        readings("readings", minutes=12, first=30, cap=60, figures=("monte_carlo",), of="as stated", title="Trajectory 1"),
+        readings(
+            "readings", minutes=12, first=30, cap=60, figures=("monte_carlo",), of="as stated", title="Trajectory 1"
+        ),
         readings("trajectory-2", minutes=3, first=30, cap=60, setting=Setting("trajectory-2"), title="Trajectory 2"),
         readings("trajectory-3", minutes=3, first=30, cap=60, setting=Setting("trajectory-3"), title="Trajectory 3"),
         study(
@@ -55,6 +57,8 @@ PAPER = Paper(
             title="Outage length against gyro bias",
             note="Position RMSE over the outage, m; means over the runs that all four finished.",
         ),
-        runs("regressors", minutes=4, runs=60, setting=Setting("regressors"), title="Other regressors than the network"),
+        runs(
+            "regressors", minutes=4, runs=60, setting=Setting("regressors"), title="Other regressors than the network"
+        ),
     ),
 )

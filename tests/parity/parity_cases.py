@@ -77,7 +77,7 @@ WEIGHTS_0_1 = {"weights": str(Path(__file__).parent / "recorded" / "ahrs-lstm-0.
 PATIENT = {"epochs": 3, "neurons": 4}
 NARX = {
     **{"settle_s": 8.0, "longest_outage_s": 7.0, "step_s": 0.4, "epochs": 3, "online_epochs": 2},
-    **{"neurons": 3, "output_lags": 1, "input_lags": 1},
+    **{"neurons": 3, "output_lags": 1, "input_lags": 1, "held_back": "rows"},
 }
 
 EVERYWHERE = (

@@ -70,11 +70,13 @@ params = { accel_noise_scale = 2.0, gyro_noise_scale = 3.0 }
 name = "ins"
 [monte_carlo]"""
     change = "[variants.rough.estimators]\n{} = {{ params = {{ gyro_noise_scale = 9.0 }} }}"
-    old = "[variants.rough]\nflight.wind = { turbulence = \"severe\" }"
+    old = '[variants.rough]\nflight.wind = { turbulence = "severe" }'
     changed = load_scenario(write(**{"[monte_carlo]": rows, old: change.format("tuned")}), variant="rough").estimators
     assert [entry.row for entry in changed] == ["indirect-kf", "tuned", "ins"]
     assert changed[1].params == {"accel_noise_scale": 2.0, "gyro_noise_scale": 9.0} and not changed[0].params
-    with pytest.raises(InputError, match=r"tiny.toml: 'variants.rough': 'estimators' has no row 'tund'; did you mean 'tuned'"):
+    with pytest.raises(
+        InputError, match=r"tiny.toml: 'variants.rough': 'estimators' has no row 'tund'; did you mean 'tuned'"
+    ):
         load_scenario(write(**{"[monte_carlo]": rows, old: change.format("tund")}), variant="rough")
 
 

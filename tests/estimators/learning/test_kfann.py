@@ -175,7 +175,9 @@ def test_a_restart_that_leaves_the_attitude_has_the_free_ins_s(flight, log):
     They turn alike from there on but for the rate of transport, which 100 m/s of velocity error change by 100 / R = 1.6e-5
     rad/s, 5e-4 rad in 30 s. The gyro bias of 1e-3 rad/s has left some 0.08 rad by then, which the filter knows to a part.
     """
-    whole, part, free = (e.run(log) for e in (Lkf9(restart=True), Lkf9(restart=True, restores="position-velocity"), Ins()))
+    whole, part, free = (
+        e.run(log) for e in (Lkf9(restart=True), Lkf9(restart=True, restores="position-velocity"), Ins())
+    )
     first, last = np.searchsorted(log.imu.t, (79.9 + 0.005, OUTAGE[1] - 0.005))
     assert abs(whole.lat[first] - part.lat[first]) * 6.4e6 < 0.1  # one sample at 100 Hz after the last fix
     for row in (first, last):
@@ -256,7 +258,14 @@ def test_too_few_fixes_leave_the_filter_alone(flight):
 
 
 def test_parameters_out_of_range_are_refused(log):
-    for bad in ({"inputs": "nn4"}, {"regressor": "forest"}, {"neurons": 0}, {"pseudo_noise": "x"}, {"epochs": -1}, {"rehearsal_s": 0.0}):
+    for bad in (
+        {"inputs": "nn4"},
+        {"regressor": "forest"},
+        {"neurons": 0},
+        {"pseudo_noise": "x"},
+        {"epochs": -1},
+        {"rehearsal_s": 0.0},
+    ):
         with pytest.raises(InputError):
             Kfann(**bad)
     for bad in ({"restores": "attitude"}, {"restores": "position-velocity"}):

@@ -108,7 +108,11 @@ def test_the_two_logs_of_a_run_differ_by_the_outage_alone() -> None:
 
 def test_table_of_what_was_fed() -> None:
     rows = pd.DataFrame(
-        [("t", "r", run, name, scale * (run + 1.0), 1.0) for run in range(3) for name, scale in (("a", 1.0), ("b", 10.0))],
+        [
+            ("t", "r", run, name, scale * (run + 1.0), 1.0)
+            for run in range(3)
+            for name, scale in (("a", 1.0), ("b", 10.0))
+        ],
         columns=["trajectory", "reading", "run", "fed", "outage_m", "first_m"],
     )
     table = fed.summarise(rows).set_index("fed")
