@@ -7,11 +7,10 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-PLACE = str(Path(__file__).resolve().parents[1] / "reports" / "studies")
+PLACES = [str(Path(__file__).resolve().parents[1] / "reports" / folder) for folder in ("studies", "")]
 
 
 def study(name: str) -> ModuleType:
     """With the other studies on the path, as ``reports/make.py`` has them."""
-    if PLACE not in sys.path:
-        sys.path.append(PLACE)
+    sys.path.extend(place for place in PLACES if place not in sys.path)
     return importlib.import_module(name)

@@ -6,56 +6,64 @@ window is kept from training) and of the scored flight with GNSS throughout. Met
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from jobs import Place
+
 SCENARIO = "narx-ukf-2021"
+READINGS = ("Q of the data sheet", "gyro noise x 300")
 DRAWS = 8
 """Of the training flight's noise, for the drift's own statistics; the networks learn from the first."""
 SCORED = 3
 """Draws of the scored flight."""
 
 
-def write_lessons(target: Path, variant: str | None = None) -> Path:
+def make_table(place: Place) -> None:
     """Train the scenario's NNCKF rows on its training flight and write what is left of the drift, seen and unseen."""
+    draws = (2, 1) if place.trial else (DRAWS, SCORED)
+    lines = [line for reading in READINGS for line in [f"### {reading}", "", *lessons(reading, *draws), ""]]
+    (place.target / "lessons.md").write_text("\n".join(lines), encoding="utf-8")
+
+
+def lessons(reading: str, draws: int, scored_draws: int) -> list[str]:
+    """Both tables of a reading in Markdown."""
     from testbed import pipeline
     from testbed.data.registry import make_estimator
     from testbed.scenario import load_scenario
     from testbed.training.flights import OUTAGE_KEYS, training_flights
 
     clear = {f"sensors.gnss.{key}": value for key, value in OUTAGE_KEYS.items() if value is not None}
-    scenario = load_scenario(SCENARIO, variant=variant, overrides={"extra.training.runs": DRAWS} | clear)
-    rows = [entry for entry in load_scenario(SCENARIO).estimators if entry.name == "nnckf"]
+    scenario = load_scenario(SCENARIO, reading=reading, overrides={"extra.training.runs": draws} | clear)
+    rows = [entry for entry in scenario.estimators if entry.name == "nnckf"]
     student: Any = make_estimator(rows[0].name, **rows[0].params)
     trajectory = pipeline.fly(scenario)
-    scored = [pipeline.sense(scenario, trajectory, run=run)[0] for run in range(SCORED)]
+    scored = [pipeline.sense(scenario, trajectory, run=run)[0] for run in range(scored_draws)]
     flights = training_flights(scenario)
     drawn = [list(student.lessons(log)) for log, _ in flights]
     unseen = [drift for log in scored for drift in student.lessons(log)]
-    lines = ["# What there is to learn in a window without GNSS", ""]
-    lines += _drift_table({"training flight": [d for part in drawn for d in part], "scored flight": unseen})
+    lines = _drift_table({"training flight": [d for part in drawn for d in part], "scored flight": unseen})
     lines += [
         "",
-        "RMS position error (m) at the end of a window: of the free copy, and with the networks added to it.",
+        "RMS position error (m) at the end of a window: of the free copy, and with the networks added to it. Training stops by whole "
+        "windows held back, or by rows drawn from all windows.",
         "",
     ]
-    lines += ["| networks | trained on: free | with networks | kept back: free | with networks "]
+    lines += ["| networks | stopped by | trained on: free | with networks | kept back: free | with networks "]
     lines[-1] += "| scored flight: free | with networks | outputs limited |"
-    lines += ["| --- |" + " ---: |" * 7]
+    lines += ["| --- | --- |" + " ---: |" * 7]
     for entry in rows:
-        pupil: Any = make_estimator(entry.name, **entry.params)
-        pupil.fit(flights[:1])
-        lines.append(_lesson_row(entry.row, pupil, drawn[0], unseen))
-    target.mkdir(parents=True, exist_ok=True)
-    path = target / "lessons.md"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+        for held_back in ("windows", "rows"):
+            pupil: Any = make_estimator(entry.name, **entry.params | {"held_back": held_back})
+            pupil.fit(flights[:1])
+            lines.append(_lesson_row(f"{entry.row} | {held_back}", pupil, drawn[0], unseen))
+    return lines
 
 
-def _drift_table(drifts: dict[str, Sequence[Any]]) -> list[str]:
+def _drift_table(drifts: Mapping[str, Sequence[Any]]) -> list[str]:
     """Mean and RMS of the drift at the windows' ends by axis, and what the filter's covariance says the RMS is."""
     lines = [
         "Drift at the end of a window (m), by axis: mean, root mean square, and the RMS that the covariance says.",

@@ -1,14 +1,13 @@
-"""What position error at the end of a GNSS outage is made of, and how well a filter knew the biases: for findings.
+"""What position error at the end of a GNSS outage is made of, and how well a filter knew the biases and itself.
 
 Each part is a free run of the strapdown through the outage from the truth with one group of the filter's errors put in: what
-a network would have to foretell. Metres, m/s², rad/s. Written: ``outage-growth.md``, ``outage-bands.png``.
+a network would have to foretell. Metres, m/s², rad/s.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,67 +15,10 @@ from testbed.data.records import NavSolution, SensorErrors, SensorLog, Trajector
 from testbed.physics import earth
 from testbed.physics.rotations import quat_multiply, rotvec_to_quat
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-SCENARIO = "narx-ukf-2021"
-FILTERS = {"EKF": "direct-ekf", "UKF": "direct-ukf"}
 CONVERGED_S = 249.0
 """Just before the first outage."""
-RUNS = 5
 AXES = ("accel x", "accel y", "accel z", "gyro x", "gyro y", "gyro z")
-BIAS_UNIT = np.array([1e-3] * 3 + [1e-6] * 3)
-"""The table's units: mm/s² and µrad/s."""
 GROUPS = ("position and velocity", "attitude", "biases", "sensor errors in the outage", "all of it")
-
-
-class Found(NamedTuple):
-    """Of one filter on one run: `growth` (outages, groups), `bias_table`, `outside_share` (9,)."""
-
-    growth: np.ndarray
-    biases: dict[str, Any]
-    outside: np.ndarray
-
-
-def write_growth(
-    target: Path,
-    variant: str | None = None,
-    overrides: Mapping[str, Any] | None = None,
-    name: str = "",
-    runs: int = RUNS,
-) -> Path:
-    """Fly the scenario, run both filters on ``runs`` logs, and write the tables and the figure of run 0.
-
-    With a ``name`` the tables alone, as ``outage-growth-NAME.md``.
-    """
-    from testbed import pipeline
-    from testbed.data.registry import make_estimator
-    from testbed.scenario import load_scenario
-
-    scenario = load_scenario(SCENARIO, variant=variant, overrides=overrides)
-    trajectory = pipeline.fly(scenario)
-    parts: dict[str, list[Found]] = {label: [] for label in FILTERS}
-    ends: list[np.ndarray] = []
-    target.mkdir(parents=True, exist_ok=True)
-    for run in range(runs):
-        log, errors = pipeline.sense(scenario, trajectory, run=run)
-        assert log.gnss is not None and errors is not None
-        outages = log.gnss.outages
-        solutions = {label: make_estimator(known_as).run(log) for label, known_as in FILTERS.items()}
-        ends.append(distance_at(solutions["EKF"], solutions["UKF"], [end for _, end in outages]))
-        for label, solution in solutions.items():
-            outside = outside_share(trajectory, solution, outages)
-            grown = growth(trajectory, log, errors, solution)["error_m"]
-            parts[label].append(Found(grown, bias_table(solution, errors), outside))
-        if run == 0 and not name:
-            figure = draw_bands(trajectory, solutions, outages)
-            figure.savefig(target / "outage-bands.png", dpi=100, metadata={"Software": None})
-    path = target / f"outage-growth{f'-{name}' if name else ''}.md"
-    lines = _page(parts, runs)
-    apart = np.sqrt(np.mean(np.square(ends)))
-    lines += ["", f"RMS distance between the two filters' positions at the end of an outage: {apart:.3f} m."]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
 
 
 def distance_at(one: NavSolution, other: NavSolution, times: Sequence[float]) -> np.ndarray:
@@ -86,42 +28,6 @@ def distance_at(one: NavSolution, other: NavSolution, times: Sequence[float]) ->
         *(part[rows] for part in (one.lat, one.lon, one.h, other.lat, other.lon, other.h))
     )
     return np.linalg.norm(np.column_stack(place), axis=1)
-
-
-def _page(parts: Mapping[str, list[Found]], runs: int) -> list[str]:
-    """The tables in Markdown."""
-    lines = [f"# What grows in an outage ({runs} runs)", ""]
-    lines += ["RMS position error (m) at the end of an outage, from the truth with one group of errors put in:", ""]
-    rms = {k: np.sqrt(np.mean([f.growth**2 for f in v], axis=(0, 1))) for k, v in parts.items()}
-    lines += _rows("filter", GROUPS, rms)
-    lines += ["", f"Bias estimates at {CONVERGED_S:g} s, mean over the runs (accelerometers mm/s², gyros µrad/s):", ""]
-    first = next(iter(parts.values()))
-    biases = {"true": np.mean([f.biases["truth"] for f in first], axis=0) / BIAS_UNIT}
-    biases |= {k: np.mean([f.biases["estimate"] for f in v], axis=0) / BIAS_UNIT for k, v in parts.items()}
-    lines += _rows("", AXES, biases)
-    for title, key in (
-        ("Per cent right at that time, mean over the runs:", "right_pct"),
-        ("Settled within a tenth of the bias after (s), mean over the runs:", "convergence_s"),
-    ):
-        lines += ["", title, ""]
-        lines += _rows("filter", AXES, {k: np.mean([f.biases[key] for f in v], axis=0) for k, v in parts.items()})
-    lines += ["", "Share of the time in outages (%) outside of +-3 sigma:", ""]
-    states = [f"{what} {axis}" for what in ("position", "velocity", "attitude") for axis in ("N", "E", "D")]
-    return lines + _rows(
-        "filter", states, {k: 100.0 * np.mean([f.outside for f in v], axis=0) for k, v in parts.items()}
-    )
-
-
-def _rows(corner: str, columns: Any, rows: dict[str, Any]) -> list[str]:
-    """A Markdown table of numbers."""
-    head = [f"| {corner} | " + " | ".join(columns) + " |", "| --- |" + " ---: |" * len(columns)]
-    return head + [
-        f"| {label} | " + " | ".join(_one_decimal(value) for value in row) + " |" for label, row in rows.items()
-    ]
-
-
-def _one_decimal(value: float) -> str:
-    return f"{round(float(value), 1) + 0.0:.1f}"  # + 0.0: no minus sign before a zero
 
 
 def growth(trajectory: Trajectory, log: SensorLog, errors: SensorErrors, solution: NavSolution) -> dict[str, Any]:
@@ -198,42 +104,3 @@ def outside_share(trajectory: Trajectory, solution: NavSolution, windows: Any, s
     for a, b in windows:
         inside |= (series.t > a) & (series.t <= b)
     return np.mean(np.abs(error[inside]) > sigmas * solution.std[: len(error)][inside][:, :9], axis=0)
-
-
-def draw_bands(trajectory: Trajectory, solutions: Mapping[str, NavSolution], outages: Any) -> Figure:
-    """Position errors through each outage with +-3 sigma of each filter; heads: share of the time outside, any axis."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from testbed.scoring.metrics import error_series
-
-    figure = Figure(figsize=(13.0, 5.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(3, len(outages), sharex=True, sharey="row", squeeze=False)
-    styles = dict(zip(solutions, (("#0072B2", "-"), ("#D55E00", "--")), strict=True))
-    for column, (start, end) in enumerate(outages):
-        heads = [f"outage {column + 1}"]
-        for label, solution in solutions.items():
-            colour, dash = styles[label]
-            series = error_series(trajectory, solution)
-            assert solution.std is not None
-            rows = np.flatnonzero((series.t > start - 5.0) & (series.t <= end + 5.0))
-            inside = (series.t[rows] > start) & (series.t[rows] <= end)
-            error, band = series.values[rows, :3], 3.0 * solution.std[rows, :3]
-            heads.append(f"{label} {100.0 * np.mean(np.any(np.abs(error) > band, axis=1)[inside]):.0f} %")
-            t, thin = series.t[rows] - start, slice(None, None, 40)
-            for ax, e, b in zip(panels[:, column], error.T, band.T, strict=True):
-                ax.plot(t[thin], e[thin], dash, color=colour, lw=1.2, label=label)
-                ax.plot(t[thin], b[thin], dash, color=colour, lw=0.6, alpha=0.6, label=f"{label}, ±3σ")
-                ax.plot(t[thin], -b[thin], dash, color=colour, lw=0.6, alpha=0.6)
-        panels[0, column].set_title(heads[0] + "\noutside: " + ", ".join(heads[1:]), fontsize=7)
-        for ax in panels[:, column]:
-            ax.axvspan(0.0, end - start, color="#000000", alpha=0.06, lw=0)
-            ax.tick_params(labelsize=7)
-            ax.margins(x=0)
-    for ax, axis in zip(panels[:, 0], ("North", "East", "Down"), strict=True):
-        ax.set_ylabel(f"{axis}, m", fontsize=8)
-    figure.supxlabel("Seconds since the loss of GNSS", fontsize=8)
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=7, frameon=False)
-    return figure
