@@ -130,7 +130,7 @@ class Kfann(Learner):
         targets = TARGETS if self.velocity else TARGETS[3:]
         for start, _, times in outages_of(gnss, ins):
             known = real.t <= start
-            if not enough(np.sum(known & (real.t <= start - self._kept_back_s)), self):
+            if not enough(int(np.sum(known & (real.t <= start - self._kept_back_s))), self):
                 continue
             networks = train_networks(self, ins, real, known, targets)
             value = network_outputs(self, ins, networks, times, 1.0 / gnss.spec.rate_hz)

@@ -98,7 +98,7 @@ def rows_held_back(count: int, seed: int, how: Training, groups: NDArray[np.int6
     """
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence((seed, 1))))
     names = np.unique(groups) if groups is not None and how.whole_groups else np.empty(0)
-    if len(names) < 2 or how.validation_share == 0.0:
+    if groups is None or len(names) < 2 or how.validation_share == 0.0:
         mask = np.zeros(count, dtype=bool)
         mask[rng.permutation(count)[: int(how.validation_share * count)]] = True
         return mask
