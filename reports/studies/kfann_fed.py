@@ -25,7 +25,8 @@ CASES = tuple(
     (variant, reading) for reading in ("as stated", "matched") for variant in (None, "trajectory-2", "trajectory-3")
 )
 """Trajectory (a variant) and reading."""
-RUNS = 100
+RUNS = 50
+"""A second each; what is fed matters by factors."""
 FIRST_S = 3.0
 LINE_S = 10.0
 """What the straight line is fitted to: so many seconds before the outage."""
