@@ -20,6 +20,7 @@ PAPER = Paper(
             minutes=2,
             runs=RUNS,
             setting=Setting("per-outage"),
+            claims=False,
             title="The UAV, outage by outage, gyro noise x 300",
         ),
         readings("car", minutes=5, runs=RUNS, setting=Setting(scenario="narx-car-2021"), title="The car, simulated"),
