@@ -1,6 +1,6 @@
 """The car drive of rtklibexplorer/GNSS_IMU: RTK fixes withheld for 15 s in every 30 s, and what each filter makes of them.
 
-``python reports/drive.py FOLDER`` reads the folder's raw logger file with its time tags and its RTKLIB solution, and prints
+``python reports/studies/drive.py FOLDER`` reads the folder's raw logger file with its time tags and its RTKLIB solution, and prints
 the RMS over the windows of the horizontal error at their end. The start is at rest with a heading that nothing tells.
 
 The first window begins when the car has moved for less than half a minute and the filters have not settled: there alone they

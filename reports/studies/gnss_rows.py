@@ -1,6 +1,6 @@
 """RINEX observations of a receiver at rest: fixes of sidereon, of RTKLIB and of the bench's own receiver as rows of one table.
 
-``python reports/gnss_rows.py OBS NAV X Y Z FOLDER`` (the place of the antenna, m in e) writes a table of fixes per program and
+``python reports/studies/gnss_rows.py OBS NAV X Y Z FOLDER`` (the place of the antenna, m in e) writes a table of fixes per program and
 one of the truth into FOLDER, and scores them with ``testbed score``. Needs the extra ``oracles``. GPS on L1, broadcast
 ionosphere, Saastamoinen, 5 degrees: RTKLIB by `pntpos`, sidereon by `solve_spp_from_rinex_obs`.
 """

@@ -1,6 +1,6 @@
 """BROAD: every trial of a folder, every row of the scenario `broad`, one set of parameters: per trial and their mean.
 
-``python reports/broad.py FOLDER [--variant peers]`` prints total / heading / inclination RMSE in degrees over the rows that
+``python reports/studies/broad.py FOLDER [--variant peers]`` prints total / heading / inclination RMSE in degrees over the rows that
 the data set marks, as a table in Markdown. A mean over trials is what the data set's authors publish.
 """
 
