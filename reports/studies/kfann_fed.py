@@ -25,7 +25,7 @@ CASES = tuple(
     (variant, reading) for reading in ("as stated", "matched") for variant in (None, "trajectory-2", "trajectory-3")
 )
 """Trajectory (a variant) and reading."""
-RUNS = 50
+RUNS = 30
 """A second each; what is fed matters by factors."""
 FIRST_S = 3.0
 LINE_S = 10.0

@@ -32,12 +32,11 @@ inputs; one lag, as the Lipschitz curves of the UAV have it."""
 def make_table(place: Place) -> None:
     """RMS of the horizontal error at the end of the windows, m, by filter."""
 
+    from jobs import Kept, write_csv
+
     folder = os.environ.get(PLACE)
     if folder is None:
-        print(f"drive: {PLACE} does not name the recording's folder, drive.csv stays as it is")
-        return
-    from jobs import write_csv
-
+        raise Kept(f"{PLACE} does not name the recording's folder")
     write_csv(place.target / "drive.csv", drive_table(Path(folder)))
 
 

@@ -12,14 +12,14 @@ PAPER = Paper(
     title="KFANN 2018: networks that keep a Kalman filter running through a GPS outage",
     jobs=(
         readings(
-            "readings", minutes=12, first=30, cap=60, figures=("monte_carlo",), of="as stated", title="Trajectory 1"
+            "readings", minutes=7, first=30, cap=50, figures=("monte_carlo",), of="as stated", title="Trajectory 1"
         ),
-        readings("trajectory-2", minutes=3, first=30, cap=60, setting=Setting("trajectory-2"), title="Trajectory 2"),
-        readings("trajectory-3", minutes=3, first=30, cap=60, setting=Setting("trajectory-3"), title="Trajectory 3"),
+        readings("trajectory-2", minutes=2.5, first=30, cap=50, setting=Setting("trajectory-2"), title="Trajectory 2"),
+        readings("trajectory-3", minutes=2.5, first=30, cap=50, setting=Setting("trajectory-3"), title="Trajectory 3"),
         study(
             "innovations",
             kfann_innovations.make_tables,
-            minutes=4,
+            minutes=2.5,
             tables=("verdicts-innovations.csv", "innovations.csv"),
             scenarios=(Setting(), Setting("trajectory-2"), Setting("trajectory-3")),
             inputs=[kfann_innovations.RUNS, list(kfann_innovations.BIASES_DPS.values()), kfann_innovations.MOST],
@@ -29,7 +29,7 @@ PAPER = Paper(
         study(
             "fed",
             kfann_fed.make_table,
-            minutes=6,
+            minutes=3,
             tables=("fed.csv", "verdicts-fed.csv"),
             scenarios=(Setting(), Setting("trajectory-2"), Setting("trajectory-3")),
             inputs=[kfann_fed.RUNS, list(kfann_fed.CASES)],
@@ -39,7 +39,7 @@ PAPER = Paper(
         study(
             "network-output",
             kfann_maps.make_network_output,
-            minutes=1,
+            minutes=0.5,
             tables=("network-output.csv",),
             figures=("network-output", "network-output-matched"),
             scenarios=(Setting(),),
@@ -49,7 +49,7 @@ PAPER = Paper(
         study(
             "map",
             kfann_maps.make_maps,
-            minutes=6,
+            minutes=2,
             tables=("outage-map.csv",),
             figures=("outage-map",),
             scenarios=(Setting("long-outage"),),
@@ -58,7 +58,13 @@ PAPER = Paper(
             note="Position RMSE over the outage, m; means over the runs that all four finished.",
         ),
         runs(
-            "regressors", minutes=4, runs=60, setting=Setting("regressors"), title="Other regressors than the network"
+            "regressors",
+            minutes=4,
+            runs=30,
+            setting=Setting("regressors"),
+            claims=False,
+            title="Other regressors than the network",
+            long=True,
         ),
     ),
 )

@@ -17,17 +17,17 @@ PAPER = Paper(
         readings("readings", minutes=14, runs=RUNS, title="The UAV"),
         runs(
             "per-outage",
-            minutes=2,
+            minutes=1,
             runs=RUNS,
             setting=Setting("per-outage"),
             claims=False,
             title="The UAV, outage by outage, gyro noise x 300",
         ),
-        readings("car", minutes=5, runs=RUNS, setting=Setting(scenario="narx-car-2021"), title="The car, simulated"),
+        readings("car", minutes=4, runs=RUNS, setting=Setting(scenario="narx-car-2021"), title="The car, simulated"),
         study(
             "filters",
             narx_filters.make_tables,
-            minutes=4,
+            minutes=3,
             tables=("verdicts-filters.csv", "growth.csv", "biases.csv", "bands.csv"),
             figures=("bias-convergence", "bands-with-gnss"),
             scenarios=(Setting(), Setting("no-scale-factor")),
@@ -39,7 +39,7 @@ PAPER = Paper(
         study(
             "lessons",
             narx_lessons.make_table,
-            minutes=4,
+            minutes=3,
             tables=("lessons.md",),
             scenarios=(Setting(),),
             inputs=[narx_lessons.DRAWS, narx_lessons.SCORED, list(narx_lessons.READINGS)],
@@ -48,12 +48,11 @@ PAPER = Paper(
         study(
             "drive",
             narx_drive.make_table,
-            minutes=2,
+            minutes=0.5,
             tables=("drive.csv",),
             inputs=[narx_drive.HOLDOUT, narx_drive.LESSONS],
             title="A real car with withheld fixes",
             note="One recording is one run: no interval, no claim is tested. Horizontal error at the end of windows of 15 s.",
-            long=True,
         ),
     ),
 )
