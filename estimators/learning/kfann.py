@@ -31,7 +31,7 @@ from testbed.data.records import GnssFixes, NavSolution, SensorLog
 from testbed.physics import earth
 
 TARGETS = ("v_north", "v_east", "v_down", "lat", "lon", "h")
-"""One network per row of the measurement; the paper has the last three."""
+"""One network per row of the measurement."""
 
 # Columns of [v_north, v_east, v_down, lat, lon, h] of the INS that a network sees, now and one GNSS epoch earlier.
 _INPUTS: dict[str, dict[str, tuple[tuple[int, ...], bool]]] = {
@@ -102,17 +102,25 @@ class Ann(Learner):
 class Kfann(Learner):
     """Through an outage the networks' output is the filter's measurement, at the epochs that the receiver would have had."""
 
-    velocity: bool = False
-    """Also learn the velocity errors and feed them (an extension: the paper feeds position only)."""
-    pseudo_noise: Literal["gnss", "residual"] = "gnss"
-    """Standard deviation of the pseudo-measurements: the receiver's, or the RMS of the networks' training residuals."""
+    velocity: bool = True
+    """Networks for the velocity errors too, and all six rows of the measurement, as the text before the paper's eq. 26 has it;
+    False: position alone, the three networks that the paper describes."""
+    pseudo_noise: Literal["gnss", "residual", "rehearsal"] = "gnss"
+    """Standard deviation of the pseudo-measurements, which the paper does not state: the receiver's, as nothing says that R
+    changes; the RMS of the networks' training residuals; or their RMS error in a rehearsal, `rehearsal_errors`."""
+    rehearsal_s: float = 30.0
+    """Length of the rehearsal: the paper's outage."""
     name: ClassVar[str] = "kfann"
     sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.pseudo_noise not in ("gnss", "residual"):
-            raise InputError(f"{self.name}: pseudo_noise is '{self.pseudo_noise}', expected 'gnss' or 'residual'")
+        if self.pseudo_noise not in ("gnss", "residual", "rehearsal"):
+            raise InputError(
+                f"{self.name}: pseudo_noise is '{self.pseudo_noise}', expected 'gnss', 'residual' or 'rehearsal'"
+            )
+        if not 0.0 < self.rehearsal_s < np.inf:
+            raise InputError(f"{self.name}: rehearsal_s is {self.rehearsal_s}, expected a positive number")
 
     def run(self, log: SensorLog) -> NavSolution:
         """Train at each outage on all fixes before it, then filter fixes and pseudo-measurements in one pass."""
@@ -122,7 +130,7 @@ class Kfann(Learner):
         targets = TARGETS if self.velocity else TARGETS[3:]
         for start, _, times in outages_of(gnss, ins):
             known = real.t <= start
-            if not enough(known.sum(), self):
+            if not enough(int(np.sum(known & (real.t <= start - self._kept_back_s))), self):
                 continue
             networks = train_networks(self, ins, real, known, targets)
             value = network_outputs(self, ins, networks, times, 1.0 / gnss.spec.rate_hz)
@@ -131,9 +139,17 @@ class Kfann(Learner):
             outputs.append((times, value))
         return _with(run_filter(self, log, ins, in_order(parts)), ins, outputs)
 
+    @property
+    def _kept_back_s(self) -> float:
+        """Of the fixes before an outage, the last seconds that a rehearsal needs for itself."""
+        return self.rehearsal_s if self.pseudo_noise == "rehearsal" else 0.0
+
     def _std(self, ins: FreeIns, real: Measurements, known: Mask, networks: Networks, step: float) -> Array:
+        receivers = np.asarray(real.std[known][-1])
         if self.pseudo_noise == "gnss":
-            return np.asarray(real.std[known][-1])
+            return receivers
+        if self.pseudo_noise == "rehearsal":
+            return np.maximum(receivers, rehearsal_errors(self, ins, real, known, step))
         residual = real.value[known] - network_outputs(self, ins, networks, real.t[known], step)
         return np.asarray(np.sqrt(np.mean(residual**2, axis=0)))
 
@@ -196,6 +212,19 @@ def train_networks(
         )
         for target in targets
     }
+
+
+def rehearsal_errors(settings: Kfann, ins: FreeIns, real: Measurements, known: Mask, step: float) -> Array:
+    """RMS error (6,) over the last ``rehearsal_s`` of the ``known`` fixes of networks that were trained on those before them.
+
+    What a filter can know of its networks' errors in an outage before it begins: they grow like that where they are asked
+    for what comes next. Velocities (rows 0 to 2) count as learnt only where they are fed.
+    """
+    begin = real.t[known][-1] - settings.rehearsal_s
+    early, late = known & (real.t <= begin), known & (real.t > begin)
+    networks = train_networks(settings, ins, real, early, TARGETS if settings.velocity else TARGETS[3:])
+    errors = real.value[late] - network_outputs(settings, ins, networks, real.t[late], step)
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
 
 def network_outputs(settings: Learner, ins: FreeIns, networks: Networks, t: Array, step: float) -> Array:

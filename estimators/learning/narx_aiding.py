@@ -7,14 +7,14 @@ six networks learn what it lacks. Coordinates of `direct`; SI units and radians,
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from estimators.learning import pretrained
-from estimators.learning.narx_kernels import antennas
+from estimators.learning.narx_flight import NarxFlight, Stretch
 from estimators.learning.narx_networks import (
     CANDIDATES,
     P_DP,
@@ -27,26 +27,13 @@ from estimators.learning.narx_networks import (
     select_lags,
 )
 from estimators.learning.networks.levenberg_marquardt import Training
-from estimators.methods.direct import Array, DirectProblem, check_range
-from estimators.methods.working_copy import Fixes, Kind, WorkingCopy
+from estimators.methods.direct import Array, check_range
+from estimators.methods.working_copy import Fixes, Kind
 from testbed.base.errors import InputError
 from testbed.data.records import NavSolution, SensorLog, Trajectory
 
-RECOVERY_S = 20.0
-"""From the end of an outage to the next re-set of the free copy: the filter has found its way back."""
-GAP_EPOCHS = 2.5
-"""Fixes that are missing for more than so many epochs are an outage."""
 HELD_BACK = 3
 """Of the drifts of the offline flights every third is kept from training: the simulated outages of the statistics."""
-
-
-class Stretch(NamedTuple):
-    """Part of a log, up to IMU row ``end``. ``kind``: plain filtering, a lesson with GNSS, or an outage."""
-
-    kind: Literal["plain", "lesson", "outage"]
-    end: int
-    t: Array
-    """Epochs of the networks: the re-set, then fixes, or the moments at which fixes are missing."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +65,13 @@ class NarxAiding:
     """Mean square normalised error at which an update ends."""
     decay: float = 0.0
     """Weight of the squared network weights against the mean square normalised error."""
+    held_back: Literal["windows", "rows"] = "windows"
+    """What stops the training off line: whole windows, or ``rows`` drawn from all of them, which do not see that the windows are
+    learnt by heart."""
+    accel_noise_scale: float = 1.0
+    """Factor on the accelerometers' standard deviation in the filter's Q, as in `direct`."""
+    gyro_noise_scale: float = 1.0
+    """Factor on the gyros'."""
     networks: str = ""
     """Name of stored networks; empty: those of `fit`, or on-line learning from nothing."""
 
@@ -92,7 +86,11 @@ class NarxAiding:
             raise InputError(
                 f"{self.name}: inputs is '{self.inputs}', expected 'mrmr', 'all', 'p-dp', 'since-reset' or a list"
             )
+        if self.held_back not in ("windows", "rows"):
+            raise InputError(f"{self.name}: held_back is '{self.held_back}', expected 'windows' or 'rows'")
         ranges = {
+            "accel_noise_scale": (1e-3, 1e3),
+            "gyro_noise_scale": (1e-3, 1e3),
             "input_count": (1, 17),
             "output_lags": (-1, 10),
             "input_lags": (-1, 10),
@@ -108,6 +106,11 @@ class NarxAiding:
         if self.output_lags == 0 and self.input_lags < 0:
             raise InputError(f"{self.name}: output_lags = 0 needs input_lags of 0 or more")
         Training(epochs=self.epochs, decay=self.decay)
+
+    @property
+    def uncorrected(self) -> bool:
+        """Whether the free copy keeps attitude and biases of its own through its re-sets."""
+        return False
 
     # ------------------------------------------------------------------ learning before the flight
     def fit(self, flights: Iterable[tuple[SensorLog, Trajectory | None]]) -> None:
@@ -134,12 +137,12 @@ class NarxAiding:
 
     def lessons(self, log: SensorLog) -> Iterator[Drift]:
         """Every re-set of the free copy in a log."""
-        flight = _Flight(self, log)
+        flight = NarxFlight(self, log)
         for stretch in flight.plan():
             if stretch.kind == "lesson":
                 yield flight.lesson(stretch)
             else:
-                flight.main.run_to(stretch.end, flight.fixes)
+                flight.pass_over(stretch)
 
     def learning_data(self, flights: Iterable[tuple[SensorLog, Trajectory | None]]) -> Any:
         """Candidate inputs and targets of flights without outages, for `testbed features`."""
@@ -171,7 +174,8 @@ class NarxAiding:
         )
 
     def _offline(self, drifts: Sequence[Drift]) -> Training:
-        return Training(epochs=self.epochs, goal=self.goal, decay=self.decay * _rows(drifts))
+        whole, decay = self.held_back == "windows", self.decay * _rows(drifts)
+        return Training(epochs=self.epochs, goal=self.goal, decay=decay, whole_groups=whole)
 
     def _online(self, drifts: Sequence[Drift]) -> Training:
         decay = self.decay * _rows(drifts)
@@ -186,7 +190,7 @@ class NarxAiding:
     # ------------------------------------------------------------------ in flight
     def run(self, log: SensorLog) -> NavSolution:
         """Filter the log, learning while there is GNSS. Raises InputError when it has no GNSS."""
-        flight = _Flight(self, log)
+        flight = NarxFlight(self, log)
         networks = self.initial_networks(log)
         seen: list[Drift] = []
         outputs: list[tuple[Array, Array]] = []
@@ -208,14 +212,16 @@ class NarxAiding:
                 outputs.append((stretch.t, output))
                 limits.append((stretch.t[0], limited))
             else:
-                flight.main.run_to(stretch.end, flight.fixes)
+                flight.pass_over(stretch)
         return flight.solution(outputs, limits)
 
-    def bridge(self, flight: _Flight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks) -> None:
+    def bridge(
+        self, flight: NarxFlight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks
+    ) -> None:
         """Take the main copy through an outage with the networks' output (E,6) on the free copy's drift."""
         raise NotImplementedError
 
-    def lacking(self, flight: _Flight, t: Array, main: Array) -> Array:
+    def lacking(self, flight: NarxFlight, t: Array, main: Array) -> Array:
         """Targets (E,6) at epochs ``t`` of a lesson, where ``main`` (E,15) is the filter's state."""
         raise NotImplementedError
 
@@ -229,10 +235,12 @@ class Nnckf(NarxAiding):
 
     name: ClassVar[str] = "nnckf"
 
-    def lacking(self, flight: _Flight, t: Array, main: Array) -> Array:
+    def lacking(self, flight: NarxFlight, t: Array, main: Array) -> Array:
         return main[:, :6] - flight.free_states[1:, :6]
 
-    def bridge(self, flight: _Flight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks) -> None:
+    def bridge(
+        self, flight: NarxFlight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks
+    ) -> None:
         first, task = flight.main.row, flight.task
         flight.main.run_to(stretch.end)
         rows = slice(first, stretch.end)
@@ -251,13 +259,27 @@ class Nnakf(NarxAiding):
     """Whether P is enlarged at the start of an outage by what the drifts of the offline flight exceeded it."""
     correlated: bool = False
     """Whether R takes the errors of one outage for one error and not, as the thesis, for as many as there are epochs."""
+    resets: Literal["all", "position-velocity"] = "all"
+    """What of the free copy (*INS 2*) the thesis's correction by GNSS every 60 s re-sets: the filter's whole state, attitude and
+    biases included; or what GNSS measures, so that attitude and biases are those of an INS that nobody ever corrected."""
 
     name: ClassVar[str] = "nnakf"
 
-    def lacking(self, flight: _Flight, t: Array, main: Array) -> Array:
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.resets not in ("all", "position-velocity"):
+            raise InputError(f"{self.name}: resets is '{self.resets}', expected 'all' or 'position-velocity'")
+
+    @property
+    def uncorrected(self) -> bool:
+        return self.resets == "position-velocity"
+
+    def lacking(self, flight: NarxFlight, t: Array, main: Array) -> Array:
         return flight.fixes.z[np.searchsorted(flight.fixes.t, t - 1e-6)] - flight.free_readings[1:]
 
-    def bridge(self, flight: _Flight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks) -> None:
+    def bridge(
+        self, flight: NarxFlight, stretch: Stretch, drift: Drift, output: Array, networks: DriftNetworks
+    ) -> None:
         z = flight.free_readings + output + networks.mean
         last_fix = np.searchsorted(flight.fixes.t, stretch.t[0] + 1e-6) - 1
         r = np.maximum(networks.std**2, flight.fixes.r[last_fix])
@@ -268,104 +290,5 @@ class Nnakf(NarxAiding):
         flight.main.run_to(stretch.end, Fixes.of(stretch.t[1:], z[1:], np.tile(r, (len(z) - 1, 1))))
 
 
-class _Flight:
-    """A log being worked through: the main copy, the fixes, and the free copy's last run."""
-
-    def __init__(self, settings: NarxAiding, log: SensorLog) -> None:
-        self.settings, self.log = settings, log
-        self.task = DirectProblem.of(log, settings.name, (1.0,) * 4, (1.0, 1.0))
-        self.main = WorkingCopy.of(self.task, settings.filter)
-        self.fixes = Fixes.of_task(self.task)
-        self.free_states = self.free_readings = np.empty((0, 0))
-        rate = log.gnss.spec.rate_hz if log.gnss is not None else 1.0
-        self.epoch = 1.0 / rate
-        self.stride = max(1, round(settings.step_s * rate))
-
-    def plan(self) -> Iterator[Stretch]:
-        """The stretches of the log in order."""
-        t, fixes = self.task.t, self.fixes.t
-        fixes = fixes[fixes <= t[-1]]
-        nothing, length = np.empty(0), self.settings.longest_outage_s
-        free_from = self.task.start + self.settings.settle_s
-        edges = np.append(fixes, t[-1] + self.epoch)
-        gaps = list(np.flatnonzero(np.diff(edges) > GAP_EPOCHS * self.epoch)) if len(fixes) else []
-        for k in [*gaps, None] if len(fixes) else []:
-            last = float(edges[k]) if k is not None else float(t[-1])
-            reset = free_from
-            while reset + length <= last + 1e-6:
-                inside = fixes[(fixes > reset + 1e-6) & (fixes <= reset + length + 1e-6)]
-                yield Stretch("plain", self._row(reset), nothing)
-                epochs = np.append(reset, inside[self.stride - 1 :: self.stride])
-                yield Stretch("lesson", self._row(reset + length), epochs)
-                reset += length
-            yield Stretch("plain", self._row(last), nothing)
-            if k is None:
-                break
-            end = float(edges[k + 1])
-            missed = last + self.epoch * self.stride * np.arange(0, (end - last) / (self.epoch * self.stride) - 1e-6)
-            yield Stretch("outage", self._row(end - 0.5 * self.epoch), missed[missed <= t[-1]])
-            free_from = end + RECOVERY_S
-        yield Stretch("plain", len(t), nothing)
-
-    def _row(self, time: float) -> int:
-        """The first IMU row after a time."""
-        return int(np.searchsorted(self.task.t, time + 1e-6, "right"))
-
-    def lesson(self, stretch: Stretch, spread: bool = True) -> Drift:
-        """Run both copies through a stretch with GNSS; what the free one lacked is the target.
-
-        ``spread``: whether the drift's variance is wanted, which costs as much as all the rest.
-        """
-        free, first, rows = self.main.fork(), self.main.x.copy(), slice(self.main.row, stretch.end)
-        main, _ = self.main.run_to(stretch.end, self.fixes)
-        drift = self._drift(stretch, first, free, rows, spread)
-        y = np.vstack(
-            [np.zeros(6), self.settings.lacking(self, stretch.t[1:], _at(stretch.t[1:], self.task.t[rows], main))]
-        )
-        return replace(drift, y=y)
-
-    def free_drift(self, stretch: Stretch) -> Drift:
-        """Run the free copy alone through an outage."""
-        first, rows = self.main.x.copy(), slice(self.main.row, stretch.end)
-        return self._drift(stretch, first, self.main.fork(), rows, spread=False)
-
-    def _drift(self, stretch: Stretch, first: Array, free: WorkingCopy, rows: slice, spread: bool) -> Drift:
-        t, grid, unknown = stretch.t, self.task.t[rows], np.full((len(stretch.t), 6), np.nan)
-        if spread:
-            states, std = free.run_to(stretch.end)
-            variance = np.vstack([np.zeros(6), _at(t[1:], grid, std[:, :9] ** 2)[:, :6]])
-        else:
-            states, variance = free.coast_to(stretch.end), unknown
-        at = np.vstack([first, _at(t[1:], grid, states)])
-        self.free_states, self.free_readings = at, self._antenna(at, t)
-        return Drift.of(t - t[0], at, unknown, variance)
-
-    def _antenna(self, states: Array, t: Array) -> Array:
-        """What the receiver would read (E,6) in these states (E,15)."""
-        out = np.empty((len(states), 6))
-        rows = np.minimum(np.searchsorted(self.task.t, t), len(self.task.t) - 1)
-        antennas(states, self.task.inputs.imu[rows], self.task.motion.setting, out)
-        return out
-
-    def solution(self, outputs: list[tuple[Array, Array]], limits: list[tuple[float, int]]) -> NavSolution:
-        """The main copy's answer, with the networks' outputs and the count of what their guard limited."""
-        used = int(np.searchsorted(self.fixes.t, self.task.t[-1] + 1e-7, "right"))
-        extras = {"test_statistic": (self.fixes.t[:used], self.fixes.theta[:used])}
-        if outputs:
-            t, values = zip(*outputs, strict=True)
-            extras["network_output"] = np.concatenate(t), np.concatenate(values)
-            starts, counts = zip(*limits, strict=True)
-            extras["network_limited"] = np.array(starts), np.array(counts, dtype=float)
-        return self.task.solution(used, extras)
-
-
 def _rows(drifts: Sequence[Drift]) -> int:
     return sum(len(drift.t) for drift in drifts)
-
-
-def _at(t: Array, grid: Array, states: Array) -> Array:
-    """States (E,15) at times ``t``: interpolated, but for the yaw angle, which is that of the nearest row."""
-    out = np.column_stack([np.interp(t, grid, states[:, k]) for k in range(states.shape[1])])
-    near = np.clip(np.searchsorted(grid, t), 0, len(grid) - 1)
-    out[:, 6:9] = states[near, 6:9]
-    return out

@@ -81,7 +81,7 @@ class DriftNetworks:
     """Six trained networks, or none yet, and what simulated outages say of their errors.
 
     ``mean`` and ``std`` (6,) of (target - network); ``growth`` is how much larger the squared drift was than the filter's
-    covariance said.
+    covariance said: 1 where the free copy has no covariance.
     """
 
     structure: Structure
@@ -115,6 +115,7 @@ class DriftNetworks:
         """The statistics of these simulated outages."""
         errors = np.vstack([(drift.y - self.closed_loop(drift)[0])[1:] for drift in drifts])
         growth = float(np.mean([drift.y[-1] ** 2 / drift.variance[-1] for drift in drifts]))
+        growth = growth if np.isfinite(growth) else 1.0
         return replace(self, mean=errors.mean(axis=0), std=errors.std(axis=0), growth=growth)
 
     def save(self, path: Path, meta: dict[str, Any]) -> None:

@@ -99,14 +99,26 @@ class Lkf9(OpenLoop):
     restart: bool = False
     """In an outage: False propagates the error estimate; True starts the INS anew at the last corrected state and lets it
     run free (the paper's *Update INS*). ``std`` is the filter's either way."""
+    restores: Literal["all", "position-velocity"] = "all"
+    """What a restart takes from the corrected state, which the paper does not say: ``position-velocity`` leaves the INS the
+    attitude that it has. ``all``: a state is all of it."""
 
     sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.restores not in ("all", "position-velocity"):
+            raise InputError(f"{self.name}: restores is '{self.restores}', expected 'all' or 'position-velocity'")
+        if self.restores != "all" and not self.restart:
+            raise InputError(f"{self.name}: restores = '{self.restores}' needs restart = true")
 
     def run(self, log: SensorLog) -> NavSolution:
         """Corrected navigation at the IMU times."""
         ins = free_ins(log)
         solution = run_filter(self, log, ins, gnss_measurements(ins, fixes_of(log, self.name)))
-        return _restarted(log, solution, self.name) if self.restart else solution
+        if not self.restart:
+            return solution
+        return _restarted(log, solution, self.name, None if self.restores == "all" else ins.q_nb[1:])
 
 
 def fixes_of(log: SensorLog, name: str) -> GnssFixes:
@@ -149,7 +161,7 @@ def gnss_measurements(ins: FreeIns, gnss: GnssFixes) -> Measurements:
 
 
 def run_filter(settings: OpenLoop, log: SensorLog, ins: FreeIns, fed: Measurements) -> NavSolution:
-    """Run the kernel and subtract its estimates from the INS. Innovations are those of the complete fixes only."""
+    """Run the kernel and subtract its estimates from the INS. Innovations are those of the log's own fixes only."""
     from estimators.core.recording import empty_recording
     from estimators.core.timeline import make_timeline, walk
     from estimators.methods import lkf9_kernels
@@ -177,14 +189,15 @@ def run_filter(settings: OpenLoop, log: SensorLog, ins: FreeIns, fed: Measuremen
         std=_bench_sigmas(kept.std, ins.lla[1:, 0]),
         covariance_t=imu.t[snapshots],
         covariance=_bench_covariance(kept.covariance, ins.lla[snapshots + 1, 0]),
-        innovations={"gnss": _innovations(ins, fed, kept)},
+        innovations={"gnss": _innovations(ins, fixes_of(log, settings.name), fed, kept)},
         states=NAVIGATION_STATES,
     )  # fmt: skip
 
 
-def _innovations(ins: FreeIns, fed: Measurements, kept: Recording) -> Innovations:
-    """Those of the complete fixes, position first, in metres NED."""
-    full, order = fed.first == 0, [3, 4, 5, 0, 1, 2]
+def _innovations(ins: FreeIns, gnss: GnssFixes, fed: Measurements, kept: Recording) -> Innovations:
+    """Those of the receiver's fixes and of nothing that stands in for them, position first, in metres NED."""
+    full = (fed.first == 0) & np.isin(fed.t, gnss.t - gnss.spec.latency_s)
+    order = [3, 4, 5, 0, 1, 2]
     metres = np.ones((int(full.sum()), 6))
     metres[:, 4] = np.cos(np.interp(fed.t[full], ins.t, ins.lla[:, 0]))
     metres[:, 5] = -1.0
@@ -214,8 +227,11 @@ def corrected(ins: FreeIns, x: Array, radius: float, **rest: object) -> NavSolut
     )
 
 
-def _restarted(log: SensorLog, solution: NavSolution, name: str) -> NavSolution:
-    """The solution with a free INS in every gap of the fixes, from the last state that a fix corrected."""
+def _restarted(log: SensorLog, solution: NavSolution, name: str, attitude: Array | None) -> NavSolution:
+    """The solution with a free INS in every gap of the fixes, from the last state that a fix corrected.
+
+    Its attitude is that of the row in ``attitude`` (N,4), where that is given.
+    """
     from estimators.core.strapdown import integrate
     from estimators.methods.update_ins import outage_rows
 
@@ -223,10 +239,10 @@ def _restarted(log: SensorLog, solution: NavSolution, name: str) -> NavSolution:
     lla = np.column_stack([solution.lat, solution.lon, solution.h])
     v_n, q_nb = solution.v_n.copy(), solution.q_nb.copy()
     for first, last in outage_rows(log, 1.5 / fixes_of(log, name).spec.rate_hz, name):
-        rows = slice(first + 1, last)
+        rows, turned = slice(first + 1, last), q_nb[first] if attitude is None else attitude[first]
         integrate(
             imu.t[first], imu.t[rows], imu.gyro[rows], imu.accel[rows],
-            lla[first, 0], lla[first, 1], lla[first, 2], v_n[first], q_nb[first],
+            lla[first, 0], lla[first, 1], lla[first, 2], v_n[first], turned,
             np.asarray(start.accel_bias, float), np.asarray(start.gyro_bias, float), lla[rows], v_n[rows], q_nb[rows],
         )  # fmt: skip
     return replace(solution, lat=lla[:, 0], lon=lla[:, 1], h=lla[:, 2], v_n=v_n, q_nb=q_nb)

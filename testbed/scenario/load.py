@@ -12,7 +12,7 @@ from testbed.base.errors import OWN, InputError, nearest, shown
 from testbed.base.schema import OWN_TRACK, is_file, read_toml, validate
 from testbed.flight.own import TrajectoryConfig
 from testbed.scenario.model import EXTERNAL, Scenario
-from testbed.scenario.settings import merge, set_key
+from testbed.scenario.settings import changed_rows, merge, set_key
 from testbed.scoring.claims import ReadingConfig
 
 OWN_FILE = f"flight.{OWN_TRACK}"
@@ -66,9 +66,9 @@ def load_scenario(
             continue
         if chosen not in overlays[kind]:
             raise InputError(f"{path}: no [{kind}.{chosen}]; {nearest(chosen, overlays[kind])}")
-        data = _overlay(data, overlays[kind][chosen])
+        data = _overlay(data, overlays[kind][chosen], f"{path}: '{kind}.{chosen}'")
     if reading is not None:
-        data = _overlay(data, _reading_overlay(data, reading, path))
+        data = _overlay(data, _reading_overlay(data, reading, path), f"{path}: reading '{reading}'")
     if OWN_FILE in (overrides or {}) and OWN_TRACK not in data.get("flight", {}):
         data["flight"] = {}  # a file in place of what the scenario flies
     if PLAN in (overrides or {}) and isinstance(data.get("flight"), dict):
@@ -123,8 +123,14 @@ def _reading_overlay(data: Mapping[str, Any], name: str, path: Path) -> Mapping[
     return validate(ReadingConfig, entries[name], f"{path}: reading '{name}'").overlay
 
 
-def _overlay(data: dict[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
-    """`merge`; a file's trajectory takes the place of the flight, ``[recording]`` that of the flight and its sensors."""
+def _overlay(data: dict[str, Any], overlay: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """`merge`, and a table over the estimators changes their rows by label.
+
+    A file's trajectory takes the place of the flight, ``[recording]`` that of the flight and its sensors.
+    """
+    rows, changes = data.get("estimators"), overlay.get("estimators")
+    if isinstance(rows, list) and isinstance(changes, Mapping):
+        overlay = {**overlay, "estimators": changed_rows(rows, changes, where)}
     if "recording" in overlay and "flight" in data:
         data = {key: value for key, value in data.items() if key not in ("flight", "sensors")}
     flight = overlay.get("flight")

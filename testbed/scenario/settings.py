@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from testbed.base.errors import InputError, shown
+from testbed.base.errors import InputError, nearest, shown
 from testbed.base.schema import DEEPEST, parse_toml
 
 
@@ -16,6 +16,22 @@ def merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]
     for key, value in overlay.items():
         both = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)
         out[key] = merge(out[key], value) if both else value
+    return out
+
+
+def changed_rows(rows: list[Any], changes: Mapping[str, Any], where: str) -> list[Any]:
+    """Estimators with an overlay's table of changes laid over them: its keys are labels, or names of rows without one.
+
+    Raises InputError for a row that is not there: in an overlay that is a slip, or a list that another overlay has shortened.
+    """
+    labels = [str(row.get("label") or row.get("name")) if isinstance(row, Mapping) else "" for row in rows]
+    out = list(rows)
+    for label, change in changes.items():
+        if label not in labels:
+            raise InputError(f"{where}: 'estimators' has no row '{label}'; {nearest(label, labels)}")
+        if not isinstance(change, Mapping):
+            raise InputError(f"{where}: 'estimators.{label}' should be a table of settings, got {shown(change)}")
+        out[labels.index(label)] = merge(out[labels.index(label)], change)
     return out
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from pydantic import Field
@@ -18,8 +19,8 @@ from testbed.base.errors import InputError
 from testbed.base.schema import Table, validate
 from testbed.data.records import SensorLog, Trajectory
 from testbed.flight.cache import flown_by
-from testbed.flight.config import FlightConfig
 from testbed.scenario import Scenario
+from testbed.scenario.model import Motion
 
 FIRST_RUN = 1_000_000
 """Runs of the training flights count from here."""
@@ -28,9 +29,9 @@ OUTAGE_KEYS: dict[str, Any] = {"outages": [], "random_outages": None, "outliers"
 
 
 class TrainingConfig(Table):
-    """``[extra.training]``: what flies, and with how many draws of the sensors."""
+    """``[extra.training]``: what flies or drives, and with how many draws of the sensors."""
 
-    flight: FlightConfig
+    flight: Motion
     runs: int = Field(default=1, ge=1)
 
 
@@ -55,7 +56,7 @@ def training_config(scenario: Scenario) -> TrainingConfig:
     where = f"{scenario.source_path}: extra.training"
     if "training" not in scenario.extra:
         raise InputError(f"{where}: an estimator here learns before it runs and needs [extra.training.flight]")
-    return validate(TrainingConfig, scenario.extra["training"], where)
+    return validate(TrainingConfig, scenario.extra["training"], where, Path(scenario.source_path).parent)
 
 
 def training_scenario(scenario: Scenario) -> Scenario:

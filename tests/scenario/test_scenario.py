@@ -60,6 +60,26 @@ def test_overlays_reach_only_what_they_name(write):
     assert paper.flight.initial == plain.flight.initial
 
 
+def test_an_overlay_changes_rows_of_the_estimators_by_label(write):
+    """The other rows and the other parameters of that row stay; a row that is not there is named with the nearest."""
+    rows = """[[estimators]]
+name = "indirect-kf"
+label = "tuned"
+params = { accel_noise_scale = 2.0, gyro_noise_scale = 3.0 }
+[[estimators]]
+name = "ins"
+[monte_carlo]"""
+    change = "[variants.rough.estimators]\n{} = {{ params = {{ gyro_noise_scale = 9.0 }} }}"
+    old = '[variants.rough]\nflight.wind = { turbulence = "severe" }'
+    changed = load_scenario(write(**{"[monte_carlo]": rows, old: change.format("tuned")}), variant="rough").estimators
+    assert [entry.row for entry in changed] == ["indirect-kf", "tuned", "ins"]
+    assert changed[1].params == {"accel_noise_scale": 2.0, "gyro_noise_scale": 9.0} and not changed[0].params
+    with pytest.raises(
+        InputError, match=r"tiny.toml: 'variants.rough': 'estimators' has no row 'tund'; did you mean 'tuned'"
+    ):
+        load_scenario(write(**{"[monte_carlo]": rows, old: change.format("tund")}), variant="rough")
+
+
 def test_settings_stand_above_the_file(write):
     settings = dict(
         [parse_setting("flight.manoeuvres.0.duration_s=12.5"), parse_setting("sensors.imu.model=ADIS16405")]

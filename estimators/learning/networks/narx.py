@@ -98,11 +98,15 @@ def train_narx(
     start: Narx | None = None,
     guard: float = 2.0,
 ) -> tuple[Narx, Trained]:
-    """Train in open loop on (u, y) sequences; lags never reach from one sequence into another. ``start``: train on."""
+    """Train in open loop on (u, y) sequences; lags never reach from one sequence into another. ``start``: train on.
+
+    A sequence is a group of rows in the sense of ``how.whole_groups``.
+    """
     rows = [lagged(u, y, output_lags, input_lags) for u, y in sequences]
     x, target = np.vstack([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
     network = start.network if start else _tied(new_mlp(x, target, neurons, seed), output_lags, input_lags)
-    result = train_mlp(x, target, neurons, seed, how, network)
+    groups = np.repeat(np.arange(len(rows)), [len(r[1]) for r in rows])
+    result = train_mlp(x, target, neurons, seed, how, network, groups)
     return Narx(result.network, output_lags, input_lags, start.guard if start else guard), result
 
 

@@ -126,7 +126,7 @@ def test_extrapolation_is_what_fails(flight, log, monkeypatch):
         with monkeypatch.context() as patch:
             for name, function in changed.items():
                 patch.setattr(kfann, name, function)
-            return np.sqrt(np.mean(position_error(flight, Kfann(inputs="nn3").run(log)) ** 2))
+            return np.sqrt(np.mean(position_error(flight, Kfann(inputs="nn3", velocity=False).run(log)) ** 2))
 
     learnt = rms()
     shown = rms(train_networks=lambda settings, ins, fed, known, targets: train(settings, ins, fixes, seen, targets))
@@ -169,6 +169,60 @@ def test_restart_and_propagation_agree_for_small_errors(flight):
     assert gap < 0.01 * position_error(flight, free).max()
 
 
+def test_a_restart_that_leaves_the_attitude_has_the_free_ins_s(flight, log):
+    """The place is the corrected one in both; the attitude goes on as that of the INS that nobody corrects.
+
+    They turn alike from there on but for the rate of transport, which 100 m/s of velocity error change by 100 / R = 1.6e-5
+    rad/s, 5e-4 rad in 30 s. The gyro bias of 1e-3 rad/s has left some 0.08 rad by then, which the filter knows to a part.
+    """
+    whole, part, free = (
+        e.run(log) for e in (Lkf9(restart=True), Lkf9(restart=True, restores="position-velocity"), Ins())
+    )
+    first, last = np.searchsorted(log.imu.t, (79.9 + 0.005, OUTAGE[1] - 0.005))
+    assert abs(whole.lat[first] - part.lat[first]) * 6.4e6 < 0.1  # one sample at 100 Hz after the last fix
+    for row in (first, last):
+        assert angle(part.q_nb[row], free.q_nb[row]) < 5e-4
+    assert angle(whole.q_nb[first], free.q_nb[first]) > 0.01
+    assert np.array_equal(part.lat[:first], whole.lat[:first])
+
+
+def angle(one, other):
+    return 2.0 * np.arccos(min(1.0, abs(float(one @ other))))
+
+
+def test_a_rehearsal_trains_on_what_lies_before_it_alone(log, monkeypatch):
+    """Networks that answer with the mean of what they were shown: the RMS error is that of the last 30 s about that mean."""
+    from estimators.learning import kfann
+
+    ins = free_ins(log)
+    fixes = gnss_measurements(ins, log.gnss)
+    early, late = fixes.t <= 49.95, (fixes.t > 49.95) & (fixes.t < OUTAGE[0])
+    shown = []
+
+    def mean_of(settings, ins, fed, known, targets):
+        shown.append(known)
+        means = dict(zip(kfann.TARGETS, fed.value[known].mean(axis=0), strict=True))
+        return {target: lambda rows, mean=means[target]: np.full(len(rows), mean) for target in targets}
+
+    monkeypatch.setattr(kfann, "train_networks", mean_of)
+    errors = kfann.rehearsal_errors(Kfann(rehearsal_s=30.0), ins, fixes, fixes.t < OUTAGE[0], 0.1)
+    assert np.array_equal(shown[0], early)
+    expected = np.sqrt(np.mean((fixes.value[late] - fixes.value[early].mean(axis=0)) ** 2, axis=0))
+    np.testing.assert_allclose(errors, expected, rtol=1e-12)
+
+
+def test_a_filter_that_knows_its_networks_errors_trusts_them_less(log):
+    """The INS's error grows by 1e-3 rad/s of gyro bias: networks miss what comes next by more than the receiver's 10 m."""
+    row = np.searchsorted(log.imu.t, 109.9)
+    trusting, wary = (Kfann(inputs="nn1", pseudo_noise=noise).run(log) for noise in ("gnss", "rehearsal"))
+    assert wary.std[row, 0] > 3.0 * trusting.std[row, 0]
+
+
+def test_too_few_fixes_for_a_rehearsal_leave_the_filter_alone(flight):
+    log = sensor_log(flight, 0, ((30.0, 60.0),))
+    assert np.array_equal(Kfann(pseudo_noise="rehearsal").run(log).lat, Lkf9().run(log).lat)
+
+
 def test_same_seed_same_answer_other_seed_another(log):
     one, again, other = (Kfann(inputs="nn1", seed=seed).run(log).lat for seed in (0, 0, 1))
     assert np.array_equal(one, again) and not np.array_equal(one, other)
@@ -194,7 +248,8 @@ def test_pseudo_measurements_count_in_the_covariance(log):
     """A filter that is fed believes to know its position as with fixes, whatever the networks are worth."""
     row = np.searchsorted(log.imu.t, 109.9)
     assert Kfann(inputs="nn1").run(log).std[row, 0] < 0.5 * Lkf9().run(log).std[row, 0]
-    assert len(Kfann(inputs="nn1").run(log).innovations["gnss"].t) == len(log.gnss.t)
+    for velocity in (False, True):  # innovations are of fixes: what the networks put out is not tested against itself
+        assert len(Kfann(inputs="nn1", velocity=velocity).run(log).innovations["gnss"].t) == len(log.gnss.t)
 
 
 def test_too_few_fixes_leave_the_filter_alone(flight):
@@ -203,8 +258,18 @@ def test_too_few_fixes_leave_the_filter_alone(flight):
 
 
 def test_parameters_out_of_range_are_refused(log):
-    for bad in ({"inputs": "nn4"}, {"regressor": "forest"}, {"neurons": 0}, {"pseudo_noise": "x"}, {"epochs": -1}):
+    for bad in (
+        {"inputs": "nn4"},
+        {"regressor": "forest"},
+        {"neurons": 0},
+        {"pseudo_noise": "x"},
+        {"epochs": -1},
+        {"rehearsal_s": 0.0},
+    ):
         with pytest.raises(InputError):
             Kfann(**bad)
+    for bad in ({"restores": "attitude"}, {"restores": "position-velocity"}):
+        with pytest.raises(InputError, match="restores"):
+            Lkf9(**bad)
     with pytest.raises(InputError, match="no GNSS"):
         Kfann().run(replace(log, gnss=None))

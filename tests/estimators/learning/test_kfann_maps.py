@@ -2,40 +2,21 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
+from report_studies import study
 from synthetic import sensor_log, weaving_flight
 
 from estimators.learning.kfann import Kfann
 from estimators.methods.lkf9 import Lkf9, Measurements
 from testbed.scenario import load_scenario
 
-
-def report_module(name: str):
-    path = Path(__file__).resolve().parents[3] / "reports" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+fed, maps = study("kfann_fed"), study("kfann_maps")
 
 
 @pytest.fixture(scope="module")
-def maps():
-    return report_module("kfann_maps")
-
-
-@pytest.fixture(scope="module")
-def fed():
-    return report_module("kfann_fed")
-
-
-@pytest.fixture(scope="module")
-def rows(maps) -> pd.DataFrame:
+def rows() -> pd.DataFrame:
     """RMSE of run 0 = (100 bias + length) times 1, 2, 3, 0.5 by estimator; run 1 ten times that, and lost by KFANN."""
     found = []
     for bias in (1.0, 0.1):
@@ -47,14 +28,14 @@ def rows(maps) -> pd.DataFrame:
     return pd.DataFrame(found, columns=["gyro_bias_dps", "run", "estimator", "outage_s", "value"])
 
 
-def test_cells_of_the_map_are_means_over_runs_that_all_finished(maps, rows) -> None:
+def test_cells_of_the_map_are_means_over_runs_that_all_finished(rows) -> None:
     table = maps.map_table(rows)
     assert len(table) == 2 * 2 * 4 and (table["runs"] == 1).all()
     first = table[(table["gyro_bias_dps"] == 0.1) & (table["outage_s"] == 30)].set_index("estimator")["mean_m"]
     assert first.to_dict() == {"Update INS": 40.0, "ANN NN3": 80.0, "KFANN NN3": 120.0, "15-state coasting": 20.0}
 
 
-def test_map_is_drawn_with_the_ratio_in_every_cell(maps, rows) -> None:
+def test_map_is_drawn_with_the_ratio_in_every_cell(rows) -> None:
     first, best, modern = maps.draw_map(maps.map_table(rows)).axes
     assert [text.get_text() for text in first.texts] == ["3.0"] * 4
     assert [text.get_text() for text in best.texts] == ["40", "130", "130", "220"]
@@ -80,7 +61,7 @@ def test_windows_of_the_scenario_start_with_its_outage() -> None:
     assert max(window.end for window in scenario.windows) == end
 
 
-def test_a_straight_line_goes_on_straight(fed) -> None:
+def test_a_straight_line_goes_on_straight() -> None:
     """Of errors that grow evenly; what came before the last seconds does not count."""
     t = np.arange(0.0, 80.0, 0.1)
     rate = np.array([1.0, 2.0, 3.0, 1e-6, 2e-6, -4.0])
@@ -91,27 +72,31 @@ def test_a_straight_line_goes_on_straight(fed) -> None:
     np.testing.assert_allclose(fed.straight_line(real, 79.9, times), 5.0 + np.outer(times, rate), rtol=1e-9)
 
 
-def test_what_the_filter_is_fed_with_decides(fed) -> None:
-    """Of one flight with a gyro bias: the table's first row is `kfann`; hidden fixes beat its networks by a factor of five
-    (as `test_extrapolation_is_what_fails` has it), and R that admits their errors loses less than the receiver's."""
+def test_what_the_filter_is_fed_with_decides() -> None:
+    """Of one flight with a gyro bias: the rows of the networks are `kfann`; hidden positions beat what its networks say of them
+    by a factor of five (as `test_extrapolation_is_what_fails` has it), and R that admits their errors loses less than the
+    receiver's."""
     flight, outage = weaving_flight(), (80.0, 110.0)
     log, full = (sensor_log(flight, 1, outages, gyro_bias=1e-3) for outages in ((outage,), ()))
     solutions = fed.answers(log, full)
     error = {name: fed.rmse(flight, solution, *outage) for name, solution in solutions.items()}
-    assert np.array_equal(solutions["networks (KFANN NN3)"].lat, Kfann(inputs="nn3").run(log).lat)
-    assert 5.0 * error["hidden positions"] < error["networks (KFANN NN3)"]
-    assert error["networks, R their true error"] < error["networks (KFANN NN3)"]
+    for name, velocity in (("networks (KFANN NN3)", True), ("networks, positions", False)):
+        assert np.array_equal(solutions[name].lat, Kfann(inputs="nn3", velocity=velocity).run(log).lat)
+    assert 5.0 * error["hidden positions"] < error["networks, positions"]
+    for name in ("", ", positions"):
+        assert error[f"networks{name}, R their true error"] < error[f"networks{name or ' (KFANN NN3)'}"]
+    np.testing.assert_allclose(solutions["hidden fixes"].lat, solutions["no outage"].lat, atol=1e-12)
     assert error["no outage"] < error["hidden positions"]
 
 
-def test_the_two_logs_of_a_run_differ_by_the_outage_alone(fed) -> None:
+def test_the_two_logs_of_a_run_differ_by_the_outage_alone() -> None:
     """The hidden fixes are only hidden if noise and biases are those of the log without the outage, bit for bit."""
     from testbed.sensors import sense_flight
 
     flight = weaving_flight(120.0)
     logs = []
     for overrides in ({}, {"sensors.gnss.outages": []}):
-        scenario = load_scenario("kfann-2018", variant="magnitude-matched", overrides=overrides)
+        scenario = load_scenario("kfann-2018", reading="matched", overrides=overrides)
         logs.append(sense_flight(scenario.sensors, scenario.initial, flight, 1, 3)[0])
     log, full = logs
     seen = np.isin(full.gnss.t, log.gnss.t)
@@ -121,10 +106,14 @@ def test_the_two_logs_of_a_run_differ_by_the_outage_alone(fed) -> None:
     assert np.array_equal(full.imu.gyro, log.imu.gyro) and full.initial.lat == log.initial.lat
 
 
-def test_table_of_what_was_fed(fed) -> None:
+def test_table_of_what_was_fed() -> None:
     rows = pd.DataFrame(
-        [("v", run, name, scale * (run + 1.0), 1.0) for run in range(3) for name, scale in (("a", 1.0), ("b", 10.0))],
-        columns=["variant", "run", "fed", "outage_m", "first_m"],
+        [
+            ("t", "r", run, name, scale * (run + 1.0), 1.0)
+            for run in range(3)
+            for name, scale in (("a", 1.0), ("b", 10.0))
+        ],
+        columns=["trajectory", "reading", "run", "fed", "outage_m", "first_m"],
     )
     table = fed.summarise(rows).set_index("fed")
     assert table["mean_m"].to_dict() == {"a": 2.0, "b": 20.0} and (table["runs"] == 3).all()

@@ -7,17 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from report_studies import study
 from synthetic import sensor_log, weaving_flight
 
 from estimators.learning import pretrained
-from estimators.learning.narx_aiding import Nnakf, Nnckf, _Flight
+from estimators.learning.narx_aiding import Nnakf, Nnckf
+from estimators.learning.narx_flight import NarxFlight
 from estimators.learning.narx_networks import Drift, DriftNetworks, Structure, select_inputs
-from estimators.learning.networks.levenberg_marquardt import Training
+from estimators.learning.networks.levenberg_marquardt import Training, rows_held_back
+from estimators.learning.networks.narx import train_narx
 from estimators.methods.direct import DirectEkf
 from estimators.methods.direct_ukf import DirectUkf
+from estimators.methods.ins import Ins
 from testbed.base.errors import InputError
 from testbed.data.records import GnssFixes
 from testbed.physics import earth
+from testbed.physics.rotations import quat_to_euler, wrap
 
 OUTAGE = (129.9, 159.9)
 SHORT = {
@@ -65,7 +70,7 @@ def position_error(flight, solution, window=OUTAGE):
 def test_a_copy_run_in_stretches_is_the_filter_run_at_once(log, kind):
     """To the last bit: a stretch begins where the one before it ended, coning and sculling of its first sample included."""
     whole = (DirectUkf() if kind == "ukf" else DirectEkf()).run(log)
-    flight = _Flight(Nnckf(**SHORT | {"filter": kind}), log)
+    flight = NarxFlight(Nnckf(**SHORT | {"filter": kind}), log)
     for row in (37, 1000, 1051, 6000, len(log.imu.t)):
         flight.main.run_to(row, flight.fixes)
     assert_same_answer(flight.solution([], []), whole)
@@ -79,7 +84,7 @@ def assert_same_answer(ours, theirs):
 
 
 def test_a_second_copy_starts_where_the_first_is_and_leaves_it_alone(log):
-    flight = _Flight(Nnckf(**SHORT), log)
+    flight = NarxFlight(Nnckf(**SHORT), log)
     flight.main.run_to(1000, flight.fixes)
     before = flight.main.x.copy()
     free = flight.main.fork()
@@ -91,7 +96,7 @@ def test_a_second_copy_starts_where_the_first_is_and_leaves_it_alone(log):
 
 def test_the_free_copy_needs_no_covariance(log):
     """`coast_to` is the mean of `run_to` without fixes, to the last bit."""
-    flight = _Flight(Nnckf(**SHORT), log)
+    flight = NarxFlight(Nnckf(**SHORT), log)
     flight.main.run_to(1037, flight.fixes)
     with_covariance, without = flight.main.fork(), flight.main.fork()
     states, _ = with_covariance.run_to(2537)
@@ -112,8 +117,47 @@ def test_networks_that_do_not_learn_in_flight_take_no_lessons(log, lesson_log):
     assert not np.array_equal(quiet.extras["network_output"][1], moved.extras["network_output"][1])
 
 
+def test_the_filter_of_a_scheme_may_be_tuned_as_the_filter_alone(lesson_log):
+    scales = {"gyro_noise_scale": 300.0, "accel_noise_scale": 30.0}
+    tuned, alone = Nnckf(**SHORT, **scales).run(lesson_log), DirectEkf(**scales).run(lesson_log)
+    assert_same_answer(tuned, alone)
+    assert not np.array_equal(tuned.h, DirectEkf().run(lesson_log).h)
+
+
+def test_an_ins_2_that_gnss_corrects_keeps_its_own_attitude(flight):
+    """Re-set in position and velocity alone: they are the filter's, its Euler angles those of an INS that nobody corrects.
+
+    The two INSs turn alike but for the rate of transport: 100 m/s of velocity error over the radius, 1.6e-5 rad/s, 2e-3 rad
+    in 130 s. The gyro bias of 1e-3 rad/s, which the filter finds, makes 0.1 rad by then.
+    """
+    log = fly_log(flight, gyro_bias=1e-3)
+    free = Ins().run(log)
+    run = NarxFlight(Nnakf(**SHORT, resets="position-velocity"), log)
+    whole = NarxFlight(Nnakf(**SHORT), log)
+    drifts = []
+    for stretch in run.plan():
+        if stretch.kind == "outage":
+            break
+        for each in (run, whole):
+            start = each.main.x[:6].copy()
+            if stretch.kind == "lesson":
+                drifts.append(each.lesson(stretch))
+                np.testing.assert_array_equal(each.free_states[0, :6], start)
+            else:
+                each.pass_over(stretch)
+    assert run.own.row == run.main.row and len(drifts) == 6
+    row = run.own.row - 1
+    turned = [
+        abs(np.linalg.norm(wrap(np.array(quat_to_euler(free.q_nb[row])) - x[6:9]))) for x in (run.own.x, whole.main.x)
+    ]
+    assert turned[0] < 4e-3 < 0.05 < turned[1]
+    assert np.isnan(drifts[-2].variance).all() and np.isfinite(drifts[-1].variance).all()
+    # 0.1 rad of tilt is 1 m/s^2, 440 m in 30 s where it stays; the turns leave a part of it
+    assert np.linalg.norm(drifts[-2].y[-1, :3]) > max(100.0, 2.0 * np.linalg.norm(drifts[-1].y[-1, :3]))
+
+
 def test_lessons_do_not_overlap_and_keep_clear_of_the_outage(log):
-    plan = list(_Flight(SCHEMES[0], log).plan())
+    plan = list(NarxFlight(SCHEMES[0], log).plan())
     lessons = [(s.t[0], s.t[-1]) for s in plan if s.kind == "lesson"]
     assert len(lessons) == 3 and lessons[0] == pytest.approx((10.0, 40.0))
     for (_, end), (start, _) in zip(lessons, lessons[1:], strict=False):
@@ -185,7 +229,7 @@ class Oracle(DriftNetworks):
 def test_perfect_networks_bring_the_filter_through(flight, scheme):
     """With the free copy's true drift as network output what is left is the interpolation between epochs and R."""
     log = fly_log(flight, gyro_noise=2e-3, accel_noise=0.2)
-    run = _Flight(scheme, log)
+    run = NarxFlight(scheme, log)
     for stretch in run.plan():
         if stretch.kind == "outage":
             break
@@ -235,6 +279,33 @@ def test_networks_learn_a_drift_that_has_a_cause():
     networks = DriftNetworks(structure).train(lessons, Training(epochs=200)).with_statistics(unseen)
     size = np.sqrt(np.mean([d.y[1:, 3:] ** 2 for d in unseen], axis=(0, 1)))
     assert (networks.std[3:] < 0.1 * size).all()
+
+
+def test_windows_learnt_by_heart_are_seen_in_whole_windows_alone():
+    """Lines through zero without a cause, slopes 1 and -1 in turn, and an input that tells which of 8 windows it is.
+
+    Rows of the windows trained on are foretold from it. Of a window that was not shown its neighbours foretell the opposite, so
+    that half the size of a line, 0.5 of the time's RMS of 0.58, is left at least.
+    """
+    t = np.linspace(0.0, 1.0, 60)
+    sequences = [(np.column_stack([np.full(60, -1.0 + 2.0 * k / 7.0), t]), (-1.0) ** k * t) for k in range(8)]
+    errors = {}
+    for whole in (False, True):
+        how = Training(epochs=300, patience=300, validation_share=0.25, whole_groups=whole)
+        errors[whole] = train_narx(sequences, 0, 0, 30, 1, how)[1].validation_rmse
+    assert errors[False] < 0.01 < 0.5 * 0.58 < errors[True]
+
+
+def test_rows_held_back_are_whole_groups():
+    groups = np.repeat(np.arange(16), 60)
+    mask = rows_held_back(960, 1, Training(whole_groups=True), groups)
+    shares = mask.reshape(16, 60).mean(axis=1)
+    assert sorted(shares) == [0.0] * 14 + [1.0] * 2  # 15 % of 16
+    assert rows_held_back(120, 1, Training(whole_groups=True), np.repeat([0, 1], 60)).sum() == 60
+    one = np.zeros(60, dtype=int)
+    for how in (Training(whole_groups=True), Training()):  # one group alone: its rows, as without groups
+        assert rows_held_back(60, 1, how, one).sum() == 9
+    assert not rows_held_back(960, 1, Training(whole_groups=True, validation_share=0.0), groups).any()
 
 
 def test_a_wild_network_is_held_and_counted():
@@ -306,12 +377,19 @@ def test_statistics_set_the_measurement_noise(log, lesson_log):
         ({"inputs": "some"}, "inputs"),
         ({"neurons": 0}, "neurons"),
         ({"output_lags": 0}, "input_lags"),
+        ({"held_back": "some"}, "held_back"),
+        ({"gyro_noise_scale": 0.0}, "gyro_noise_scale"),
         ({"longest_outage_s": float("nan")}, "longest_outage_s"),
     ],
 )
 def test_wrong_parameters_are_refused(keys, message):
     with pytest.raises(InputError, match=message):
         Nnckf(**keys)
+
+
+def test_a_wrong_re_set_is_refused():
+    with pytest.raises(InputError, match="resets"):
+        Nnakf(resets="velocity")
 
 
 def test_unknown_input_names_are_refused(lesson_log):
@@ -370,7 +448,7 @@ def test_training_flights_are_another_flight_with_gnss_throughout(short_scenario
 
 def test_distance_between_two_answers(flight, log):
     """One answer moved up by 3 m is 3 m away at any time."""
-    from reports.outage_growth import distance_at
+    distance_at = study("outage_growth").distance_at
 
     solution = DirectEkf().run(log)
     np.testing.assert_allclose(
@@ -381,8 +459,9 @@ def test_distance_between_two_answers(flight, log):
 def test_the_parts_of_an_outage_add_up(flight):
     """Started where the filter was, a free run ends where the filter's coasting ends; from the truth, with perfect
     sensors, it ends at the truth."""
-    from reports.outage_growth import GROUPS, growth
     from testbed.data.records import SensorErrors
+
+    GROUPS, growth = study("outage_growth").GROUPS, study("outage_growth").growth
 
     log = fly_log(flight, gyro_noise=2e-3, accel_noise=0.2)
     solution = DirectEkf().run(log)

@@ -7,11 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from report_studies import study
 from test_narx_aiding import synthetic_drifts
 
 from estimators.learning.narx_networks import DriftNetworks, Structure
 from estimators.learning.networks.levenberg_marquardt import Training
-from reports.narx_lessons import _drift_table, _lesson_row
+
+lessons_study = study("narx_lessons")
 
 
 def test_what_is_left_of_the_drift_is_told_apart_by_window():
@@ -25,12 +27,14 @@ def test_what_is_left_of_the_drift_is_told_apart_by_window():
         known, Training(epochs=100)
     )
     pupil = SimpleNamespace(initial_networks=lambda log: networks)
-    cells = [cell.strip() for cell in _lesson_row("row", pupil, lessons, unseen).strip("|").split("|")]
+    cells = [cell.strip() for cell in lessons_study._lesson_row("row", pupil, lessons, unseen).strip("|").split("|")]
     assert cells[0] == "row" and len(cells) == 8
     free, left = (np.array([float(value) for value in cells[first:7:2]]) for first in (1, 2))
     assert (left < 0.5 * free).all()
     larger = [replace(d, y=10.0 * d.y) if k % 3 == 2 else d for k, d in enumerate(lessons)]
-    again = [cell.strip() for cell in _lesson_row("row", pupil, larger, unseen).strip("|").split("|")]
+    again = [cell.strip() for cell in lessons_study._lesson_row("row", pupil, larger, unseen).strip("|").split("|")]
     assert again[1] == cells[1] and float(again[3]) == pytest.approx(10.0 * free[1], rel=0.02)  # one decimal is printed
-    table = _drift_table({"one": [replace(lessons[0], y=np.full((61, 6), 3.0), variance=np.full((61, 6), 4.0))]})
+    table = lessons_study._drift_table(
+        {"one": [replace(lessons[0], y=np.full((61, 6), 3.0), variance=np.full((61, 6), 4.0))]}
+    )
     assert table[-1] == "| one | 1 | " + " | ".join(["3.0"] * 6 + ["2.0"] * 3) + " |"
