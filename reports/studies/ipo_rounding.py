@@ -10,7 +10,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from ipo_searches import RECORDING, SCENARIO
-from jobs import Place, write_csv
+from jobs import Kept, Place, write_csv
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,8 +77,7 @@ def make_recorded(place: Place) -> None:
     from testbed.scenario import load_scenario
 
     if RECORDING not in os.environ:
-        print(f"navego-data-sheet: {RECORDING} names no folder with the recording; the table stays as it is")
-        return
+        raise Kept(f"the environment variable {RECORDING} names no folder with the recording")
     overrides = {"recording.dir": os.environ[RECORDING]}
     write_csv(
         place.target / "navego-data-sheet.csv", scored(load_scenario(SCENARIO, variant="navego", overrides=overrides))

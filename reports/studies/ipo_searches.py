@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jobs import Job, Place, write_csv
+from jobs import Job, Kept, Place, write_csv
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,9 +65,7 @@ class Part:
     def make(self, place: Place) -> None:
         """Search, score on unseen runs, and leave the table."""
         if self.recorded and RECORDING not in os.environ:
-            say = "its table stays as it is" if (place.target / self.table).is_file() else "it cannot be made"
-            print(f"{self.name}: {RECORDING} names no folder with the recording; {say}")
-            return
+            raise Kept(f"the environment variable {RECORDING} names no folder with the recording")
         scenario, config = self.load(place.trial)
         rows = searched(scenario, config, place.work / "study", place.resume)
         write_csv(place.target / self.table, rows)
@@ -83,7 +81,9 @@ class Part:
 
     def job(self, minutes: float, **texts: Any) -> Job:
         """As a job, which is a long one."""
-        return Job(self.name, minutes, self.make, (self.table,), long=True, inputs=self.inputs, **texts)
+        return Job(
+            self.name, minutes, self.make, (self.table,), linked=(self.table,), long=True, inputs=self.inputs, **texts
+        )
 
 
 def searched(scenario: Scenario, config: TuneConfig, folder: Path, resume: bool) -> pd.DataFrame:
