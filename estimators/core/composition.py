@@ -214,10 +214,10 @@ def solution_of(prepared: Prepared, recording: Recording) -> NavSolution:
     """A recording of every sample as the bench wants it."""
     t, state = prepared.log.imu.t, recording.state
     states = prepared.kept_states()
-    columns = {name: state[:, AUX + k] for k, name in enumerate(states[NAV:])}
+    columns = {name: AUX + k for k, name in enumerate(states[NAV:])}
 
     def taken(names: tuple[str, ...]) -> Array | None:
-        return np.column_stack([columns.pop(name) for name in names]) if names[0] in columns else None
+        return state[:, [columns.pop(name) for name in names]] if names[0] in columns else None
 
     return NavSolution(
         t,
@@ -233,7 +233,7 @@ def solution_of(prepared: Prepared, recording: Recording) -> NavSolution:
         covariance=recording.covariance,
         innovations=_innovations(prepared, recording),
         states=states,
-        estimates=columns,
+        estimates={name: state[:, k] for name, k in columns.items()},
     )
 
 

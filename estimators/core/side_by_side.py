@@ -17,7 +17,7 @@ from estimators.core.timeline import require_one_timeline, walk
 from testbed.base.errors import InputError
 from testbed.data.records import NavSolution
 from testbed.kernels.lanes import WIDTH
-from testbed.kernels.tables import of_lane, spread, zeros
+from testbed.kernels.tables import apart, of_lane
 
 
 def run_side_by_side(prepared: Sequence[Prepared]) -> list[NavSolution]:
@@ -55,6 +55,6 @@ def _filter(prepared: list[Prepared]) -> list[NavSolution]:
 
 def recording_in_lanes(keep: Recording) -> Recording:
     """Room for what `WIDTH` runs leave behind, each as much as ``keep`` has room for."""
-    innovations = (spread(keep.innovation), spread(keep.innovation_covariance), spread(keep.fading))
-    rows = zeros(*keep.state.shape), zeros(*keep.std.shape)
-    return Recording(keep.stride, *rows, keep.snapshot_stride, zeros(*keep.covariance.shape), *innovations)
+    innovations = [apart(part, filled=True) for part in (keep.innovation, keep.innovation_covariance, keep.fading)]
+    rows = apart(keep.state), apart(keep.std)
+    return Recording(keep.stride, *rows, keep.snapshot_stride, apart(keep.covariance), *innovations)

@@ -92,9 +92,9 @@ class DirectFilter:
         models = [self.model(task)._replace(keep=()) for task in tasks]
         model = combined(models, SHARED, FRESH)._replace(keep=keep)
         walk(line, model, len(line.t))
-        used, answers = int(line.place[1]), []
+        used, answers, walked = int(line.place[1]), [], model._replace(inputs=())
         for lane, task in enumerate(tasks):
-            own = of_lane(model, lane)
+            own = of_lane(walked, lane)
             answers.append(self.answer(replace(task, keep=own.keep, axes=own.axes), own, used))
         return answers
 
@@ -242,19 +242,20 @@ class DirectProblem:
         """The time line at its start."""
         return make_timeline(self.start, self.t, self.gnss_t)
 
-    def solution(self, used: int, extras: dict[str, tuple[Array, Array]]) -> NavSolution:
-        """The answer in the bench's conventions, after ``used`` fixes."""
+    def solution(self, used: int, extras: dict[str, tuple[Array, Array]], names: tuple[str, ...] = ()) -> NavSolution:
+        """The answer in the bench's conventions, after ``used`` fixes; ``names`` of the columns of each extra."""
         states, every = self.keep.state, self.keep.snapshot_stride
         place, rows = self.motion.setting.place, slice(every - 1, None, every)
         lat, h = self.reference[0] + states[:, 0] / place[2], self.reference[2] - states[:, 2]
-        stretch = np.ones((len(self.t), 15))
-        local = earth.metres_per_radian(lat, h)
-        stretch[:, 0], stretch[:, 1] = local[0] / place[2], local[1] / place[3]
+        # metres north and east here, of those at the reference
+        stretch = np.column_stack(earth.metres_per_radian(lat, h)) / place[2:4]
+        std = self.keep.std.copy()
+        std[:, :2] *= stretch
         to_metres = np.ones((used, MEASUREMENTS))
         k = np.minimum(np.searchsorted(self.t, self.gnss_t[:used]), len(self.t) - 1)
-        to_metres[:, :2] = stretch[k, :2]
+        to_metres[:, :2] = stretch[k]
         covariance = _to_rotation_vector(self.keep.covariance, states[rows], stretch[rows])
-        q_nb, biases, std, covariance = in_b(states, self.keep.std * stretch, covariance, self.axes.history, rows)
+        q_nb, biases, std, covariance = in_b(states, std, covariance, self.axes.history, rows)
         return NavSolution(
             self.t,
             lat,
@@ -276,6 +277,7 @@ class DirectProblem:
             },
             states=STATE_NAMES,
             extras=extras,
+            extra_names=dict.fromkeys(extras, names) if names else {},
         )
 
 
@@ -333,9 +335,11 @@ def in_b(
 
 
 def _to_rotation_vector(snapshots: Array, states: Array, stretch: Array) -> Array:
-    """Covariances (K,15,15) of scaled positions and Euler angles as those of metres and a rotation vector in n."""
+    """Covariances (K,15,15) of scaled positions, by ``stretch`` (K,2), and Euler angles as those of metres and a rotation
+    vector in n."""
     jacobian = np.zeros((len(snapshots), 15, 15))
-    jacobian[:, range(15), range(15)] = stretch
+    jacobian[:] = np.eye(15)
+    jacobian[:, [0, 1], [0, 1]] = stretch
     for k, row in enumerate(states):
         jacobian[k, 6:9, 6:9] = euler_error_matrix(row[6], row[7], row[8])
     with np.errstate(all="ignore"):  # a diverged filter holds no finite numbers, which the scorer will say

@@ -7,7 +7,7 @@ probabilities by default; steps in `imm_kernels`. Coordinates as `direct`; SI un
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -168,7 +168,7 @@ class ImmEkf(DirectFilter):
         """Extras at the fixes, one column per branch: ``mode_probability``, ``test_statistic``, ``fading_factor``."""
         names = ("mode_probability", "test_statistic", "fading_factor")
         extras = {name: (task.gnss_t[:used], model.figures[:used, i]) for i, name in enumerate(names)}
-        return replace(task.solution(used, extras), extra_names=dict.fromkeys(extras, tuple(self.branch_names())))
+        return task.solution(used, extras, tuple(self.branch_names()))
 
     def model(self, task: DirectProblem) -> Bank:
         """The bank at the start of a task: its branches have interacted once."""

@@ -15,41 +15,41 @@ from numba.extending import intrinsic, overload
 from testbed.kernels.lanes import VECTOR, WIDTH, LanesType, lanes, select, splat
 
 
-def _unary(name: str) -> Any:
+def _function(call: Any) -> Any:
+    """A function of one argument, lanes, that ``call`` makes of a builder and the argument."""
+
     @intrinsic
     def function(typing_context: Any, value: Any) -> Any:
         if not isinstance(value, LanesType):
             return None
-
-        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            kind = ir.FunctionType(VECTOR, [VECTOR])
-            return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{WIDTH}f64"), args)
-
-        return lanes(lanes), generate
+        return lanes(lanes), lambda context, builder, sig, args: call(builder, args[0])
 
     return function
+
+
+def _unary(name: str) -> Any:
+    """An instruction of the processor."""
+
+    def call(builder: Any, x: Any) -> Any:
+        kind = ir.FunctionType(VECTOR, [VECTOR])
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{WIDTH}f64"), [x])
+
+    return _function(call)
 
 
 def _each(name: str) -> Any:
     """A function of the C library on the lanes one by one: the same bits as on floats."""
 
-    @intrinsic
-    def function(typing_context: Any, value: Any) -> Any:
-        if not isinstance(value, LanesType):
-            return None
+    def call(builder: Any, x: Any) -> Any:
+        kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()])
+        function = cgutils.get_or_insert_function(builder.module, kind, name)
+        out = ir.Constant(VECTOR, ir.Undefined)
+        for lane in range(WIDTH):
+            at = ir.Constant(ir.IntType(32), lane)
+            out = builder.insert_element(out, builder.call(function, [builder.extract_element(x, at)]), at)
+        return out
 
-        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()])
-            call = cgutils.get_or_insert_function(builder.module, kind, name)
-            out = ir.Constant(VECTOR, ir.Undefined)
-            for lane in range(WIDTH):
-                at = ir.Constant(ir.IntType(32), lane)
-                out = builder.insert_element(out, builder.call(call, [builder.extract_element(args[0], at)]), at)
-            return out
-
-        return lanes(lanes), generate
-
-    return function
+    return _function(call)
 
 
 _log, _exp = _each("log"), _each("exp")

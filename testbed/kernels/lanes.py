@@ -57,35 +57,6 @@ def _as_lanes(builder: Any, value: Any, kind: Any) -> Any:
     return value if isinstance(kind, LanesType) else _splat(builder, value)
 
 
-def _register(function: Any, instruction: str) -> None:
-    """Let an operator take two lanes, or lanes and a float64 that stands for `WIDTH` equal numbers."""
-
-    @infer_global(function)
-    class Template(AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
-            known = all(isinstance(a, LanesType) or a == types.float64 for a in args)
-            if len(args) == 2 and known and any(isinstance(a, LanesType) for a in args):
-                return signature(lanes, *args)
-            return None
-
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        left, right = (_as_lanes(builder, value, kind) for value, kind in zip(args, sig.args, strict=True))
-        return getattr(builder, instruction)(left, right)
-
-    for kinds in ((LanesType, LanesType), (LanesType, types.Float), (types.Float, LanesType)):
-        lower_builtin(function, *kinds)(lower)
-
-
-for _operators, _instruction in (
-    ((operator.add, operator.iadd), "fadd"),
-    ((operator.sub, operator.isub), "fsub"),
-    ((operator.mul, operator.imul), "fmul"),
-    ((operator.truediv, operator.itruediv), "fdiv"),
-):
-    for _operator in _operators:
-        _register(_operator, _instruction)
-
-
 @infer_global(operator.neg)
 class _Negative(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
@@ -114,52 +85,15 @@ class _MaskModel(models.PrimitiveModel):
         super().__init__(manager, kind, _BITS)
 
 
-def _register_comparison(function: Any, sign: str) -> None:
-    """Let a comparison take two lanes, or lanes and a float64; a NaN is unequal to all and neither more nor less."""
-
-    @infer_global(function)
-    class Template(AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
-            known = all(isinstance(a, LanesType) or a == types.float64 for a in args)
-            if len(args) == 2 and known and any(isinstance(a, LanesType) for a in args):
-                return signature(mask, *args)
-            return None
-
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        left, right = (_as_lanes(builder, value, kind) for value, kind in zip(args, sig.args, strict=True))
-        compare = builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered
-        return compare(sign, left, right)
-
-    for kinds in ((LanesType, LanesType), (LanesType, types.Float), (types.Float, LanesType)):
-        lower_builtin(function, *kinds)(lower)
+def _instruction_of(name: str) -> Any:
+    """What makes an instruction of a builder."""
+    return lambda builder, left, right: getattr(builder, name)(left, right)
 
 
-for _operator, _sign in (
-    (operator.lt, "<"),
-    (operator.le, "<="),
-    (operator.gt, ">"),
-    (operator.ge, ">="),
-    (operator.eq, "=="),
-    (operator.ne, "!="),
-):
-    _register_comparison(_operator, _sign)
-
-
-def _register_logic(function: Any, instruction: str) -> None:
-    @infer_global(function)
-    class Template(AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
-            known = all(isinstance(a, MaskType) or a == types.boolean for a in args)
-            if len(args) == 2 and known and any(isinstance(a, MaskType) for a in args):
-                return signature(mask, *args)
-            return None
-
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        left, right = (_as_mask(builder, value, kind) for value, kind in zip(args, sig.args, strict=True))
-        return getattr(builder, instruction)(left, right)
-
-    for kinds in ((MaskType, MaskType), (MaskType, types.Boolean), (types.Boolean, MaskType)):
-        lower_builtin(function, *kinds)(lower)
+def _comparison(sign: str) -> Any:
+    """What compares; a NaN is unequal to all and neither more nor less."""
+    name = "fcmp_unordered" if sign == "!=" else "fcmp_ordered"
+    return lambda builder, left, right: getattr(builder, name)(sign, left, right)
 
 
 def _as_mask(builder: Any, value: Any, kind: Any) -> Any:
@@ -169,8 +103,48 @@ def _as_mask(builder: Any, value: Any, kind: Any) -> Any:
     return builder.select(value, on, off)
 
 
-_register_logic(operator.and_, "and_")
-_register_logic(operator.or_, "or_")
+def _register(function: Any, kind: types.Type, number: types.Type, out: types.Type, combine: Any) -> None:
+    """Let an operator take two of ``kind``, lanes or masks, or one of them and a ``number`` that stands for `WIDTH` equal ones.
+
+    ``combine`` makes the instruction of a builder and two vectors, whose result is of type ``out``.
+    """
+    widen = _as_lanes if kind == lanes else _as_mask
+
+    @infer_global(function)
+    class Template(AbstractTemplate):
+        def generic(self, args: Any, kws: Any) -> Any:
+            known = all(a in (kind, number) for a in args)
+            return signature(out, *args) if len(args) == 2 and known and kind in args else None
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        left, right = (widen(builder, value, given) for value, given in zip(args, sig.args, strict=True))
+        return combine(builder, left, right)
+
+    for kinds in ((kind, kind), (kind, number), (number, kind)):
+        lower_builtin(function, *kinds)(lower)
+
+
+for _operators, _instruction in (
+    ((operator.add, operator.iadd), "fadd"),
+    ((operator.sub, operator.isub), "fsub"),
+    ((operator.mul, operator.imul), "fmul"),
+    ((operator.truediv, operator.itruediv), "fdiv"),
+):
+    for _operator in _operators:
+        _register(_operator, lanes, types.float64, lanes, _instruction_of(_instruction))
+
+for _operator, _sign in (
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+    (operator.eq, "=="),
+    (operator.ne, "!="),
+):
+    _register(_operator, lanes, types.float64, mask, _comparison(_sign))
+
+for _operator, _instruction in ((operator.and_, "and_"), (operator.or_, "or_")):
+    _register(_operator, mask, types.boolean, mask, _instruction_of(_instruction))
 
 
 @intrinsic
@@ -250,6 +224,25 @@ def store(typing_context: Any, table: Any, row: Any, value: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(table, types.intp, lanes), generate
+
+
+@intrinsic
+def scatter(typing_context: Any, array: Any, offset: Any, value: Any) -> Any:
+    """Set number ``offset`` of each of `WIDTH` equal parts of an array to that of its lane."""
+    if not _is_table(array) or not isinstance(offset, types.Integer) or not isinstance(value, LanesType):
+        return None
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        room = context.make_array(array)(context, builder, args[0])
+        size = builder.udiv(room.nitems, ir.Constant(room.nitems.type, WIDTH))
+        place = args[1]
+        for lane in range(WIDTH):
+            number = builder.extract_element(args[2], ir.Constant(ir.IntType(32), lane))
+            builder.store(number, builder.gep(room.data, [place], inbounds=True))
+            place = builder.add(place, size)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, lanes), generate
 
 
 @intrinsic

@@ -28,8 +28,7 @@ from numba.extending import (
 )
 from numpy.typing import NDArray
 
-from testbed.kernels import lane_functions as lane_functions  # kernels on tables take roots and angles
-from testbed.kernels.lanes import WIDTH, aligned, as_lanes, load, store
+from testbed.kernels.lanes import WIDTH, aligned, as_lanes, load, scatter, store
 
 
 class Table:
@@ -39,6 +38,23 @@ class Table:
 
     def __init__(self, array: NDArray[np.float64]) -> None:
         self.array = array
+
+
+class Apart:
+    """Room (`WIDTH`, ...) for what filters leave behind: a kernel sets numbers of it by lanes, and each lane's lie together."""
+
+    __slots__ = ("array",)
+
+    def __init__(self, array: NDArray[np.float64]) -> None:
+        self.array = array
+
+
+def apart(values: NDArray[np.float64], filled: bool = False) -> Any:
+    """Room for as much as ``values`` of every lane; ``filled``: it starts like them."""
+    room = np.empty((WIDTH, *values.shape))
+    if filled:
+        room[:] = values
+    return Apart(room)
 
 
 def zeros(*shape: int) -> Any:
@@ -87,7 +103,9 @@ def combined(models: list[Any], shared: frozenset[str], fresh: frozenset[str]) -
 
 
 def of_lane(model: Any, lane: int) -> Any:
-    """The arrays of one filter, copied from a `combined` model."""
+    """The arrays of one filter of a `combined` model: copies, but for what lies `Apart`."""
+    if isinstance(model, Apart):
+        return model.array[lane]
     if isinstance(model, Table):
         return np.ascontiguousarray(model.array[..., lane])
     if not isinstance(model, tuple):
@@ -160,8 +178,66 @@ def _reshape(table, shape):
     return None
 
 
+class ApartType(types.Type):
+    """What is left of an `Apart` of ``ndim`` + ``taken`` axes, the first ``taken`` of which have an index."""
+
+    def __init__(self, ndim: int, taken: int = 0) -> None:
+        self.ndim, self.taken = ndim, taken
+        self.data = types.Array(types.float64, ndim + taken + 1, "C")
+        super().__init__(name=f"apart{ndim}of{ndim + taken}x{WIDTH}")
+
+
+@typeof_impl.register(Apart)
+def _type_of_apart(value: Any, context: Any) -> Any:
+    return ApartType(value.array.ndim - 1)
+
+
+@register_model(ApartType)
+class _ApartModel(models.StructModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, [("data", kind.data), ("first", types.intp)])
+
+
+make_attribute_wrapper(ApartType, "data", "data")
+make_attribute_wrapper(ApartType, "first", "first")
+
+
+@unbox(ApartType)
+def _unbox_apart(kind: Any, value: Any, context: Any) -> Any:
+    data = context.pyapi.object_getattr_string(value, "array")
+    native = context.unbox(kind.data, data)
+    context.pyapi.decref(data)
+    room = cgutils.create_struct_proxy(kind)(context.context, context.builder)
+    room.data, room.first = native.value, context.context.get_constant(types.intp, 0)
+    return NativeValue(room._getvalue(), is_error=native.is_error)
+
+
+@intrinsic
+def _part(typing_context: Any, room: Any, first: Any) -> Any:
+    """``room`` with an axis less, whose numbers begin ``first`` numbers after those of its lane."""
+    kind = ApartType(room.ndim - 1, room.taken + 1)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        whole = cgutils.create_struct_proxy(room)(context, builder, value=args[0])
+        part = cgutils.create_struct_proxy(kind)(context, builder)
+        part.data, part.first = whole.data, args[1]
+        return impl_ret_borrowed(context, builder, kind, part._getvalue())
+
+    return kind(room, types.intp), generate
+
+
+@overload_attribute(ApartType, "shape")
+def _shape_apart(room):
+    first = 1 + room.taken
+    if room.ndim == 1:
+        return lambda room: (room.data.shape[first],)
+    return lambda room: room.data.shape[first:]
+
+
 @overload(operator.getitem)
 def _getitem(table, index):
+    if isinstance(table, ApartType):
+        return _part_of_apart(table, index)
     if not isinstance(table, TableType):
         return None
     if isinstance(index, types.SliceType):
@@ -180,6 +256,8 @@ def _getitem(table, index):
 
 @overload(operator.setitem)
 def _setitem(table, index, value):
+    if isinstance(table, ApartType):
+        return _set_apart(table, index)
     if not isinstance(table, TableType):
         return None
     if isinstance(index, types.SliceType):
@@ -200,4 +278,29 @@ def _setitem(table, index, value):
         return lambda table, index, value: store(table.data, index[0] * table.data.shape[1] + index[1], as_lanes(value))
     return lambda table, index, value: store(
         table.data, (index[0] * table.data.shape[1] + index[1]) * table.data.shape[2] + index[2], as_lanes(value)
+    )
+
+
+def _part_of_apart(room: Any, index: Any) -> Any:
+    """What an index of the first axis leaves; no number is read."""
+    if not isinstance(index, types.Integer) or room.ndim == 1:
+        return None
+    if room.ndim == 2:
+        return lambda table, index: _part(table, table.first + index * table.shape[1])
+    return lambda table, index: _part(table, table.first + index * (table.shape[1] * table.shape[2]))
+
+
+def _set_apart(room: Any, index: Any) -> Any:
+    """One number of every lane; no more at once."""
+    count = len(index) if isinstance(index, types.BaseTuple) else 1
+    if count < room.ndim:
+        return None
+    if count == 1:
+        return lambda table, index, value: scatter(table.data, table.first + index, as_lanes(value))
+    if count == 2:
+        return lambda table, index, value: scatter(
+            table.data, table.first + index[0] * table.shape[1] + index[1], as_lanes(value)
+        )
+    return lambda table, index, value: scatter(
+        table.data, table.first + (index[0] * table.shape[1] + index[1]) * table.shape[2] + index[2], as_lanes(value)
     )

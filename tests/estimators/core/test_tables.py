@@ -5,7 +5,7 @@ import pytest
 from numba import njit
 
 from testbed.kernels.lanes import WIDTH, alike, any_of, select
-from testbed.kernels.tables import combined, of_lane, side_by_side, spread, zeros
+from testbed.kernels.tables import Apart, apart, combined, of_lane, side_by_side, spread, zeros
 from testbed.physics.rotations import euler_to_quat, quat_to_euler, wrap
 
 RNG = np.random.default_rng(7)
@@ -43,6 +43,20 @@ def functions(x, y, out):
         out[i, 3], out[i, 4], out[i, 5] = np.arctan2(y[i], x[i]), np.hypot(x[i], y[i]), wrap(3.0 * x[i])
         out[i, 6], out[i, 7], out[i, 8] = np.exp(x[i]), np.log(abs(x[i])), np.sqrt(abs(y[i]))
         out[i, 9], out[i, 10], out[i, 11] = quat_to_euler(euler_to_quat(x[i], 0.45 * x[i], y[i]))
+
+
+@njit
+def left_behind(x, numbers, rows, squares):
+    """One number per place, by one to three indices, into rooms and parts of them."""
+    for k in range(rows.shape[0]):
+        numbers[k] = x[k]
+        row, square = rows[k], squares[k]
+        for i in range(row.shape[0]):
+            row[i] = x[k] + 1.0 * i
+            for j in range(square.shape[1]):
+                square[i, j] = x[k] * (1.0 * i) - 1.0 * j
+        rows[k, 0] = -x[k]
+        squares[k, 1, 1] = 5.0
 
 
 def lanes_of(kernel, *inputs, out):
@@ -94,3 +108,26 @@ def test_a_model_comes_back_out_of_its_lane():
 @pytest.mark.parametrize("rows", [1, 3])
 def test_rows_begin_on_cache_lines(rows):
     assert zeros(rows, 5).array.ctypes.data % 64 == 0
+
+
+def test_what_lies_apart_is_each_lanes_own_array():
+    x = RNG.normal(size=(3, WIDTH))
+    shapes = (3,), (3, 4), (3, 4, 2)
+    rooms = [apart(np.full(shape, np.nan), filled=True) for shape in shapes]
+    left_behind(side_by_side(list(x.T)), *rooms)
+    for lane in range(WIDTH):
+        single = [np.full(shape, np.nan) for shape in shapes]
+        left_behind(np.ascontiguousarray(x[:, lane]), *single)
+        for one, room in zip(single, rooms, strict=True):
+            assert np.array_equal(one, of_lane(room, lane))
+            assert of_lane(room, lane).flags.c_contiguous
+            assert np.shares_memory(of_lane(room, lane), room.array)
+
+
+def test_a_room_apart_takes_numbers_alone():
+    @njit
+    def whole_row(room, x):
+        room[0] = x
+
+    with pytest.raises(Exception, match="setitem"):
+        whole_row(Apart(np.zeros((WIDTH, 2, 2))), 1.0)
