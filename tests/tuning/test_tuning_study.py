@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -26,7 +25,6 @@ from testbed.tuning.command import tune as tune_command
 from testbed.tuning.config import Task, tune_config
 from testbed.tuning.history import History, per_iteration
 from testbed.tuning.objective import make_objective, record
-from testbed.tuning.publish import publish
 from testbed.tuning.report import write_report
 from testbed.tuning.speed import write_speed
 
@@ -292,29 +290,11 @@ def test_report(study, tmp_path):
     assert all(f"**{verdict}**" in text for verdict in entry["verdicts"])
 
 
-def test_publish_keeps_what_the_report_needs(study, tmp_path):
-    """Two studies side by side; without the results the same page comes from what was kept."""
-    shutil.copytree(study, tmp_path / "results" / "tuned-tuning")
-    tune.tune(
-        scenario(space=[{"name": "gyro_noise_scale"}], algorithms=["pso"], innovation_search="none"),
-        tmp_path / "results" / "tuned-one-tuning",
-        jobs=1,
-    )
-    (tmp_path / "results" / "tuned-broken-tuning").mkdir()
-    out = tmp_path / "report"
-    out.mkdir()
-    (out / "speed.csv").write_text("what,table_h\none by one,20\n")
-    page = publish("tuned", tmp_path / "results", out)
-    text = page.read_text()
+def test_report_shows_what_was_measured_beside_it(study, tmp_path):
+    """A table of speed left in the folder stands on the page; without one, and without functions, there is no such heading."""
+    (tmp_path / "speed.csv").write_text("what,table_h\none by one,20\n")
+    text = write_report(study, tmp_path, figures=False).read_text()
     assert "Benchmark functions" not in text and "one by one" in text
-    table = pd.read_csv(out / "heldout-all.csv")
-    assert (table["row"] == "data-sheet").sum() == 1
-    assert list(table["variables"].unique()) == [6, 1]
-    assert (out / "heldout.png").stat().st_size > 0
-    assert not list(out.rglob("*.parquet"))
-    shutil.rmtree(tmp_path / "results")
-    publish("tuned", tmp_path / "results", out)
-    assert page.read_text() == text
 
 
 def test_speed_is_measured(tmp_path):
