@@ -1,17 +1,17 @@
 """AHRS-LSTM 2022: the searches that gave the parameters of its filters without a network, on training flights alone.
 
-``python reports/ahrs_filters.py [kf] [adaptive] [peers]`` writes ``filters-NAME.csv`` into ``reports/ahrs-lstm-2022/``: every
-candidate that was the best so far, and for the peers the whole grid. Roll and pitch RMSE pooled, degrees.
+Each is a job of `paper_ahrs_lstm_2022` and leaves ``filters-NAME.csv``: every candidate that was the best so far, and for the
+peers the whole grid. Roll and pitch RMSE pooled, degrees. A trial takes the first candidates on the flights of the profile ``smoke``.
 """
 
 from __future__ import annotations
 
 import itertools
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from ahrs_studies import load, write_table
+from jobs import Place
 
 from testbed.data.records import Array, SensorLog
 from testbed.data.registry import make_estimator
@@ -60,13 +60,13 @@ Flight = tuple[SensorLog, Array]
 """A log and the true roll, pitch and yaw (N,3), rad."""
 
 
-def flights(validation: bool = False) -> list[Flight]:
+def flights(place: Place, validation: bool = False) -> list[Flight]:
     """Every `EVERY`-th flight of the data set that the network is trained on, or its validation flights."""
     from testbed.physics.rotations import quats_to_eulers
     from testbed.training.dataset import make_dataset, open_dataset
     from testbed.training.train import dataset_folder
 
-    scenario = load_scenario("ahrs-lstm-2022")
+    scenario = load(place)
     training, held_back = open_dataset(make_dataset(scenario, dataset_folder(scenario)))
     chosen = held_back if validation else training[::EVERY]
     return [(f.log(), quats_to_eulers(f.window(0, f.rows)["q_nb"].astype(float))) for f in chosen]
@@ -84,11 +84,11 @@ def rmse(name: str, params: Mapping[str, float], given: Sequence[Flight]) -> flo
     return found if np.isfinite(found) else np.inf
 
 
-def kf() -> None:
+def kf(place: Place) -> None:
     """The scenario's row "KF": CMA-ES on the logarithms; the rows of every improvement, the last one is the best."""
     import cma
 
-    given, rows = flights(), list[dict[str, float]]()
+    given, rows = flights(place), list[dict[str, float]]()
 
     def evaluate(values: Array, count: int) -> float:
         params = {k: float(f"{v:.3g}") for k, v in zip(START, np.exp(values), strict=True)}
@@ -101,29 +101,30 @@ def kf() -> None:
     x0 = np.log(list(START.values()))
     evaluate(x0, 0)
     strategy = cma.CMAEvolutionStrategy(x0, SIGMA, {"seed": SEED, "popsize": POPULATION, "verbose": -9})
-    for generation in range(BUDGET // POPULATION):
+    for generation in range(1 if place.trial else BUDGET // POPULATION):
         asked = strategy.ask()
         strategy.tell(asked, [evaluate(x, generation * POPULATION + k + 1) for k, x in enumerate(asked)])
-    save("filters-kf.csv", rows)
+    write_table(place.target / "filters-kf.csv", rows)
 
 
-def adaptive() -> None:
+def adaptive(place: Place) -> None:
     """The scenario's row "adaptive KF": the least sum of both errors (a search on the training flights alone overfits)."""
-    given, others, rows = flights(), flights(validation=True), []
-    for values in itertools.product(*ADAPTIVE_GRID.values()):
+    given, others, rows = flights(place), flights(place, validation=True), []
+    grid = list(itertools.product(*ADAPTIVE_GRID.values()))
+    for values in grid[:2] if place.trial else grid:
         point = dict(zip(ADAPTIVE_GRID, values, strict=True))
         params = ONLY | ADAPTIVE | point
         rows.append(
             point | {"rmse_deg": rmse("ahrs-kf", params, given), "validation_deg": rmse("ahrs-kf", params, others)}
         )
         print(rows[-1], flush=True)
-    save("filters-adaptive.csv", rows)
+    write_table(place.target / "filters-adaptive.csv", rows)
 
 
-def peers() -> None:
+def peers(place: Place) -> None:
     """The scenario's tuned rows of madgwick, mahony and ahrs-ekf: the best of a grid each."""
-    log, truth = flights()[0]
-    given, rows = [(beginning(log, PEER_S), truth[: np.searchsorted(log.imu.t, log.imu.t[0] + PEER_S)])], []
+    (log, truth), seconds = flights(place)[0], 5.0 if place.trial else PEER_S
+    given, rows = [(beginning(log, seconds), truth[: np.searchsorted(log.imu.t, log.imu.t[0] + seconds)])], []
     (tuned,) = [entry.params for entry in load_scenario("ahrs-lstm-2022").estimators if entry.row == "KF"]
     for name, grid in [("ahrs-kf", {key: (value,) for key, value in tuned.items()}), *GRIDS.items()]:
         for values in itertools.product(*grid.values()):
@@ -131,7 +132,7 @@ def peers() -> None:
             text = " ".join(f"{k}={v:g}" for k, v in params.items())
             rows.append({"filter": name, "parameters": text, "rmse_deg": rmse(name, params, given)})
             print(rows[-1], flush=True)
-    save("filters-peers.csv", rows)
+    write_table(place.target / "filters-peers.csv", rows)
 
 
 def beginning(log: SensorLog, seconds: float) -> SensorLog:
@@ -141,17 +142,3 @@ def beginning(log: SensorLog, seconds: float) -> SensorLog:
     imu = type(log.imu)(log.imu.t[:n], log.imu.gyro[:n], log.imu.accel[:n], log.imu.spec)
     mag = type(log.mag)(log.mag.t[:n], log.mag.field[:n], log.mag.spec)
     return SensorLog(imu, log.initial, mag=mag)
-
-
-def save(name: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Into the report's folder."""
-    from ahrs_studies import TARGET, write_table
-
-    write_table(TARGET / name, rows)
-
-
-SEARCHES: dict[str, Callable[[], None]] = {"kf": kf, "adaptive": adaptive, "peers": peers}
-
-if __name__ == "__main__":
-    for chosen in sys.argv[1:] or SEARCHES:
-        SEARCHES[chosen]()

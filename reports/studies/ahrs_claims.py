@@ -54,7 +54,36 @@ def judged(network: str, found: Sequence[tuple[Any, Measured]]) -> Iterator[dict
         row = {"network": network, "id": claim.id, "text": claim.text, "origin": claim.origin, "kind": claim.kind}
         row |= {"paper_pct": claim.paper_improvement_pct, "margin_pct": claim.margin_pct}
         row |= {"measured_pct": effect.percent, "ci_low": effect.low, "ci_high": effect.high, "verdict": verdict}
+        row["runs"] = effect.n
         yield row | {"p_value": p_value, "p_holm": p_holm, "contradiction": claim.contradiction}
+
+
+def as_verdicts(
+    rows: Sequence[Mapping[str, Any]], readings: Mapping[str, tuple[str, Mapping[str, str]]]
+) -> list[dict[str, Any]]:
+    """Rows of a report's table of verdicts, each with the class of its claim.
+
+    ``readings``: network, as `judged` names it, to the reading's name and its conditions.
+    """
+    from testbed.scoring.claims import ReadingConfig
+    from testbed.scoring.readings import standing
+
+    configs = [ReadingConfig(name=name, leaves_open="-", conditions=dict(told)) for name, told in readings.values()]
+    found: dict[str, dict[str, str]] = {}
+    for row in rows:
+        found.setdefault(row["id"], {})[readings[row["network"]][0]] = row["verdict"]
+    out = []
+    for row in rows:
+        told = {
+            "claim": row["id"],
+            "text": row["text"],
+            "origin": row["origin"],
+            "reading": readings[row["network"]][0],
+        }
+        told |= {"stated_pct": row["paper_pct"], "margin_pct": row["margin_pct"], "effect_pct": row["measured_pct"]}
+        told |= {key: row[key] for key in ("ci_low", "ci_high", "runs", "p_value", "p_holm", "verdict")}
+        out.append(told | {"class": standing(configs, found[row["id"]], row["contradiction"]).word})
+    return out
 
 
 def effect_of(measured: Measured) -> Any:
@@ -116,7 +145,7 @@ def of_noise(ratios: Array) -> Iterator[tuple[Any, Measured]]:
 
 
 def noise_ratios(
-    labels: Mapping[str, Sequence[Any]], base: Any, runs: int
+    labels: Mapping[str, Sequence[Any]], base: Any, runs: int, seconds: float = ALLAN_S
 ) -> tuple[dict[str, Array], list[dict[str, Any]]]:
     """Allan deviations of the rate that the attitude of each estimator has at rest, over those of ``base``.
 
@@ -126,7 +155,7 @@ def noise_ratios(
     shape = {label: np.empty((len(each), runs, len(CLUSTERS_S))) for label, each in labels.items()}
     deviations: dict[str, list[Array]] = {label: [] for label in ("IMU", BASE, *labels)}
     for run in range(runs):
-        log = log_at_rest(ALLAN_S, SEED + run)
+        log = log_at_rest(seconds, SEED + run)
         deviations["IMU"].append(clusters_of(log.imu.gyro[1:], log))
         own = clusters_of(rate_of_attitude(base.run(log).q_nb, log), log)
         deviations[BASE].append(own)
