@@ -47,9 +47,10 @@ TABLES = tuple(
     f"end-to-end{end}.csv" for end in ("", "-trainings", "-elsewhere", "-noise", "-learning-curve", "-gradients")
 )
 READINGS = {
-    "LSTM end to end, sgd": ("SGD at the paper's rate".replace("'", ""), {"optimiser": "SGD, rate 0.1"}),
-    "LSTM end to end, adam": ("Adam", {"optimiser": "Adam, rate 0.001"}),
+    "LSTM end to end, sgd": ("SGD, rate 0.1", {"optimiser": "SGD, rate 0.1"}),
+    "LSTM end to end, adam": ("Adam, rate 0.001", {"optimiser": "Adam, rate 0.001"}),
 }
+"""Networks of the claims, as readings: the paper names the rate and no optimiser."""
 
 
 def seeds_of(place: Place) -> tuple[int, int, int, int]:
