@@ -24,7 +24,7 @@ from ahrs_claims import (
     of_structures,
     structure_grid,
 )
-from ahrs_studies import load, new_figure, phases_of, rest_s, save, write_table
+from ahrs_studies import PHASES, load, new_figure, phases_of, rest_s, save, write_table
 from jobs import TRIAL_RUNS, Place
 from numpy.typing import NDArray
 
@@ -65,7 +65,7 @@ def make(place: Place) -> None:
     for name in ("learning-curve", "gradients"):
         write_table(place.target / f"end-to-end-{name}.csv", list(collected(folders, f"{name}.csv")))
     squares = mean_squares(place, folders)
-    write_table(place.target / "end-to-end.csv", list(comparison(place, squares)))
+    write_table(place.target / "end-to-end.csv", list(comparison(squares)))
     write_table(place.target / "end-to-end-trainings.csv", list(trainings(folders, squares)))
     training_path(place, list(collected(folders, "gradients.csv")))
     write_table(place.target / "end-to-end-elsewhere.csv", list(elsewhere(place, folders)))
@@ -261,11 +261,11 @@ def squares_of(place: Place, estimator: Any, logs: Sequence[Any], truth: Array) 
     return np.array([[(e[span] ** 2).mean(0) for span in spans] for e in errors])
 
 
-def comparison(place: Place, squares: dict[str, Array]) -> Iterator[dict[str, Any]]:
+def comparison(squares: dict[str, Array]) -> Iterator[dict[str, Any]]:
     """Per row, window and axis: RMSE and MSE, and by how much each is below the paper's KF, with its interval."""
     base = squares[BASE]
     for label, values in squares.items():
-        for w, window in enumerate(["all", *phases_of(place)]):
+        for w, window in enumerate(["all", *PHASES]):
             for a, axis in enumerate(AXES):
                 ours = values[:, :, w, a]
                 low, mid, high = crossed_interval(np.log(ours / base[:, :, w, a]))
