@@ -66,9 +66,13 @@ def objective_of(variant: str | None) -> Any:
 
 
 def make_baseline(place: Place) -> None:
-    """``data-sheet.csv``: the sensors' own settings and the fixes alone, on the flight of the searches and on the unseen ones."""
+    """``data-sheet.csv``: the sensors' own settings and the fixes alone, on the flight of the searches and on the unseen ones.
+
+    ``diagonals.csv``: what the sheet has for the 18 entries that are searched, in the units of the filter.
+    """
     from testbed.scenario import load_scenario
 
+    write_csv(place.target / "diagonals.csv", diagonals(load_scenario(SCENARIO)))
     write_csv(place.target / "data-sheet.csv", scored(load_scenario(SCENARIO), [1, 2] if place.trial else None))
 
 
@@ -107,3 +111,22 @@ def scored(scenario: Any, unseen: list[int] | None = None) -> pd.DataFrame:
     keys = ["row", "set", "case"]
     means = table.drop(columns="run").groupby(keys, sort=False).mean()
     return means.assign(runs=table.groupby(keys, sort=False)["run"].nunique()).reset_index()
+
+
+def diagonals(scenario: Any) -> pd.DataFrame:
+    """Columns entry, unit and one per case: the means over the three axes of R and of the densities in Q."""
+    import pandas as pd
+
+    from testbed.data.registry import make_estimator
+    from testbed.tuning.config import tune_config, tuned_entry
+    from testbed.tuning.objective import record
+
+    config, entry = tune_config(scenario), tuned_entry(scenario, tune_config(scenario))
+    names = ("R, position", "R, velocity", "Q, accelerometers", "Q, gyros", "Q, accelerometers' bias", "Q, gyros' bias")
+    units = ("m2", "m2/s2", "m2/s3", "rad2/s", "m2/s5", "rad2/s3")
+    table = pd.DataFrame({"entry": names, "unit": units})
+    for recording in record(scenario, config, [0]):
+        prepared = make_estimator(entry.name, **entry.params).prepared(recording.log)  # type: ignore[attr-defined]
+        rows = [prepared.r[0], prepared.white, prepared.drive]
+        table[recording.case] = [float(part.mean()) for row in rows for part in (row[:3], row[3:6])]
+    return table
