@@ -29,8 +29,9 @@ lint: setup
 bench: $(ORACLES)
 	$(BIN)/python reports/benchmarks.py
 
+# Tables and pages of every paper; ARGS="--resume", ARGS=--long, ARGS=imm-rstekf-2023 (python reports/make.py --help).
 reports: setup
-	$(BIN)/python reports/make.py
+	$(BIN)/python reports/make.py $(ARGS)
 
 # The pages are build/docs/index.html; a warning or a broken link is an error, and nothing is asked of the network.
 docs: $(DOCS)

@@ -2,7 +2,7 @@
 
 Zhou & Frank, *Int. J. Control* 65 (1996), as the IMM-RSTEKF paper (2023) states it, with its refinement: fade only when
 a chi-square test of the innovation fails. Channels (m and m/s) are made comparable by dividing each by its noise
-variance R before traces are taken; the paper adds them as they are, which would let metres drown velocities.
+variance R before traces are taken; the paper adds them as they are (``raw``), which lets metres drown velocities.
 """
 
 from __future__ import annotations
@@ -29,24 +29,32 @@ def smooth_innovations(mean_square, residual, forgetting, first):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def fading_factor(mean_square, covariance, r):
-    """L = max(1, tr(N (Y - R)) / tr(N H P H')), N = R^-1, of the common channels; ``covariance`` = H P H' + R."""
+def fading_factor(mean_square, covariance, r, raw):
+    """L = max(1, tr(N (Y - R)) / tr(N H P H')), N = R^-1, of the common channels; ``covariance`` = H P H' + R.
+
+    ``raw``: N = 1, the traces as Zhou & Frank and the paper print them.
+    """
     excess, predicted = 0.0 * r[0], 0.0 * r[0]
     for i in range(mean_square.shape[0]):
-        excess += mean_square[i] / r[i] - 1.0
-        predicted += covariance[i, i] / r[i] - 1.0
+        if raw:
+            excess += mean_square[i] - r[i]
+            predicted += covariance[i, i] - r[i]
+        else:
+            excess += mean_square[i] / r[i] - 1.0
+            predicted += covariance[i, i] / r[i] - 1.0
     known = select(predicted > 0.0, predicted, 1.0)
     return select((predicted > 0.0) & (excess > predicted), excess / known, 1.0)
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def fade(p, factor, roots):
-    """P = L P in place for a covariance (15,15) in the order of the states, short of `CEILING`. ``roots`` (15,) scratch.
+def fade(p, factor, roots, scale):
+    """P = L P in place for a covariance (15,15) in the order of the states, short of ``scale`` `CEILING`. ``roots`` (15,) scratch.
 
     A state at its ceiling keeps its variance; rows and columns are scaled together, so P stays positive.
     """
     for i in range(15):
-        ceiling = CEILING[i // 3] * CEILING[i // 3]
+        std = scale * CEILING[i // 3]
+        ceiling = std * std
         full = p[i, i] > ceiling
         room = select(full, 1.0, ceiling / select(p[i, i] > 0.0, p[i, i], 1.0))
         roots[i] = np.sqrt(select((p[i, i] > 0.0) & (room < factor), room, factor))

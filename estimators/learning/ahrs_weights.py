@@ -26,7 +26,8 @@ Single = NDArray[np.float32]
 FOLDER = Path(__file__).parent / "weights"
 SHIPPED = FOLDER / "ahrs-lstm.safetensors"
 BY_NAME = {"": SHIPPED, "end-to-end": FOLDER / "ahrs-lstm-end-to-end.safetensors"}
-"""What is shipped: the network that imitates an adaptive KF, and the one that learned from the attitude error."""
+"""What is shipped: the network that imitates an adaptive KF, and the one that learned from the attitude error. Their matrices are stored
+in half precision, half the bytes: roll and pitch move by 5e-5° at most, their RMSE by 1e-5 of itself (ten minutes of two runs)."""
 COMMANDS = {"end-to-end": "testbed train ahrs-lstm-2022 --variant end-to-end"}
 """How to make them, where it is not `testbed train ahrs-lstm-2022`."""
 UNTRAINED = "untrained"

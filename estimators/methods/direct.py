@@ -37,6 +37,8 @@ SHARED = frozenset(["decay", "lever", "noise", "transition", "since"])
 """Fields of the models that are the same in all runs of a scenario."""
 FRESH = frozenset(["work", "points", "mixing", "figures", "theta"])
 """Fields that are written before they are read."""
+CEILING_SCALES = (1e-3, 1e3, "log")
+"""Of 10 m and of 10,000 km, for example: below, what a fix says in one step; above, no ceiling at all."""
 
 
 @dataclass(frozen=True)
@@ -120,12 +122,12 @@ class DirectEkf(DirectFilter):
     sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
     filter_name: ClassVar[str] = "ekf"
 
-    def tracking(self) -> tuple[float, float]:
-        """(rho, chi-square threshold) of the strong-tracking update: unused by the plain filter."""
-        return 1.0, np.inf
+    def tracking(self) -> Tracking:
+        """Strong tracking: the plain filter has none."""
+        return make_tracking(self.filter_name)
 
     def model(self, task: DirectProblem) -> Ekf:
-        return make_ekf(task, self.filter_name, *self.tracking())
+        return make_ekf(task, self.tracking())
 
     def answer(self, task: DirectProblem, model: Ekf, used: int) -> NavSolution:
         extras = {"test_statistic": (task.gnss_t[:used], model.theta[:used])}
@@ -140,15 +142,21 @@ class Stekf(DirectEkf):
 
     forgetting: float = 0.95
     """rho of the paper: weight of the past innovations."""
+    raw_trace: bool = False
+    """The fading factor's traces as printed, metres and m/s added; else each channel is divided by its R, as no sum of units
+    may depend on whether they are metres or kilometres."""
+    ceiling_scale: float = 1.0
+    """Of the sigma up to which a state is faded: 1 is 10 km, 1 km/s, 180°, 10 m/s² and 1 rad/s, from where on nothing is known."""
 
     name: ClassVar[str] = "stekf"
     filter_name: ClassVar[str] = "stekf"
     parameter_space: ClassVar[dict[str, tuple[float, float, str]]] = DirectFilter.parameter_space | {
-        "forgetting": (0.0, 1.0, "linear")
+        "forgetting": (0.0, 1.0, "linear"),
+        "ceiling_scale": CEILING_SCALES,
     }
 
-    def tracking(self) -> tuple[float, float]:
-        return self.forgetting, np.inf
+    def tracking(self) -> Tracking:
+        return make_tracking(self.filter_name, self.forgetting, np.inf, self.raw_trace, self.ceiling_scale)
 
 
 @dataclass(frozen=True)
@@ -164,8 +172,8 @@ class Rstekf(Stekf):
         "significance": (0.0, 1.0, "linear")
     }
 
-    def tracking(self) -> tuple[float, float]:
-        return self.forgetting, chi_square_threshold(self.significance)
+    def tracking(self) -> Tracking:
+        return super().tracking()._replace(threshold=chi_square_threshold(self.significance))
 
 
 @dataclass(frozen=True)
@@ -281,9 +289,15 @@ class DirectProblem:
         )
 
 
-def make_ekf(task: DirectProblem, filter_name: str, forgetting: float, threshold: float) -> Ekf:
+def make_tracking(
+    filter_name: str, forgetting: float = 1.0, threshold: float = np.inf, raw: bool = False, ceiling: float = 1.0
+) -> Tracking:
+    """Strong tracking at the start: rho, the threshold of the chi-square test, raw traces, and the scale of the ceiling."""
+    return Tracking(FILTERS[filter_name], forgetting, threshold, raw, ceiling, np.zeros(MEASUREMENTS + 1))
+
+
+def make_ekf(task: DirectProblem, tracking: Tracking) -> Ekf:
     """The filter at the start of a task."""
-    tracking = Tracking(FILTERS[filter_name], forgetting, threshold, np.zeros(MEASUREMENTS + 1))
     theta = np.full(len(task.gnss_t), np.nan)
     arrays = task.x.copy(), task.p.copy(), make_work(), task.axes_of_run(), task.keep, theta
     return Ekf(task.inputs, task.motion_of_run(), tracking, *arrays)

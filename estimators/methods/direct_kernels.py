@@ -49,6 +49,10 @@ class Tracking(NamedTuple):
     forgetting: float
     threshold: float
     """Of the chi-square test."""
+    raw: bool
+    """Whether the traces of the fading factor add metres and m/s as they are."""
+    ceiling: float
+    """Of the faded covariance, in units of `strong_tracking.CEILING`."""
     memory: Array
     """(7,): mean squares of the innovations, overwritten, and how many fixes they have seen."""
 
@@ -227,9 +231,9 @@ def take_fix(tracking, x, p, seen, setting, work):
         )
         tracking.memory[MEASUREMENTS] += 1.0
         least = -np.inf if tracking.filter == strong_tracking.STEKF else tracking.threshold
-        fading = select(theta > least, strong_tracking.fading_factor(mean_square, s, r), fading)
+        fading = select(theta > least, strong_tracking.fading_factor(mean_square, s, r, tracking.raw), fading)
         if any_of(fading > 1.0):
-            strong_tracking.fade(p, fading, work.scratch[0])
+            strong_tracking.fade(p, fading, work.scratch[0], tracking.ceiling)
             innovation_covariance(p, h, r, s, work.scratch)
     update(x, p, residual, h, r, work.scalars, work.scratch)
     wrap_angles(x)

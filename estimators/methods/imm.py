@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.core.strong_tracking import FILTERS
-from estimators.methods.direct import DirectFilter, DirectProblem, check_range, chi_square_threshold
+from estimators.methods.direct import (
+    CEILING_SCALES,
+    DirectFilter,
+    DirectProblem,
+    check_range,
+    chi_square_threshold,
+    make_tracking,
+)
 from estimators.methods.direct_kernels import MEASUREMENTS, Tracking, make_work
 from estimators.methods.imm_kernels import Acceleration, Aiding, Bank, Branches, Mixing, Modes, interact
 from estimators.methods.motion_models import MODELS
@@ -102,6 +109,10 @@ class ImmEkf(DirectFilter):
     """rho of strong tracking."""
     significance: float = 0.05
     """alpha of the chi-square test of refined strong tracking."""
+    raw_trace: bool = False
+    """The fading factor's traces as printed, metres and m/s added; else each channel is divided by its R."""
+    ceiling_scale: float = 1.0
+    """Of the sigma up to which a state is faded: 1 is 10 km, 1 km/s, 180°, 10 m/s² and 1 rad/s, from where on nothing is known."""
 
     name: ClassVar[str] = "imm-ekf"
     sensors: ClassVar[tuple[str, ...]] = ("imu", "gnss")
@@ -116,6 +127,7 @@ class ImmEkf(DirectFilter):
         "manoeuvre_time_s": (1e-2, 1e6, "log"),
         "forgetting": (0.0, 1.0, "linear"),
         "significance": (0.0, 1.0, "linear"),
+        "ceiling_scale": CEILING_SCALES,
     }
 
     def __post_init__(self) -> None:
@@ -190,7 +202,7 @@ class ImmEkf(DirectFilter):
             task.motion_of_run().setting,
             branches,
             modes,
-            (Tracking(0, self.forgetting, chi_square_threshold(self.significance), np.zeros(0)), self._aiding()),
+            (self._tracking(), self._aiding()),
             Acceleration(self.manoeuvre_time_s, *held),
             task.x.copy(),
             task.p.copy(),
@@ -217,6 +229,11 @@ class ImmEkf(DirectFilter):
             np.tile(task.p, (count, 1, 1)),
             np.zeros((count, MEASUREMENTS + 1)),
         )
+
+    def _tracking(self) -> Tracking:
+        """What the branches share."""
+        threshold = chi_square_threshold(self.significance)
+        return make_tracking("ekf", self.forgetting, threshold, self.raw_trace, self.ceiling_scale)
 
     def _aiding(self) -> Aiding:
         return Aiding(

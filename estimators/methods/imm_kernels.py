@@ -338,7 +338,8 @@ def correct(model, k, e):
     s = work.s.reshape((MEASUREMENTS, MEASUREMENTS))
     for j in range(branches.models.shape[0]):
         x, p = branches.states[j], branches.covariances[j]
-        mine = Tracking(branches.filters[j], tracking.forgetting, tracking.threshold, branches.memory[j])
+        shared = tracking.forgetting, tracking.threshold, tracking.raw, tracking.ceiling
+        mine = Tracking(branches.filters[j], *shared, branches.memory[j])
         figures[1, j], mixing.likelihood[j], figures[2, j] = take_fix(mine, x, p, seen, model.setting, work)
         put_row(mixing.residuals[j], work.residual)
         put_rows(mixing.s[j], s)

@@ -13,7 +13,7 @@ import numpy as np
 
 from estimators.core.timeline import SAME_TIME, Timeline, walk
 from estimators.learning.narx_kernels import Coasting
-from estimators.methods.direct import Array, DirectProblem, make_ekf, make_keep
+from estimators.methods.direct import Array, DirectProblem, make_ekf, make_keep, make_tracking
 from estimators.methods.direct_kernels import MEASUREMENTS, Ekf
 from estimators.methods.direct_ukf import make_ukf
 from estimators.methods.ukf_kernels import Ukf
@@ -127,7 +127,7 @@ class WorkingCopy:
 
 
 def _ekf(task: DirectProblem) -> Ekf:
-    return make_ekf(task, "ekf", 1.0, np.inf)
+    return make_ekf(task, make_tracking("ekf"))
 
 
 def _in_b(task: DirectProblem, model: Any) -> Any:

@@ -50,7 +50,7 @@ def strong_tracking(memory, residual, s, r, h, p):
     mean_square = memory[FIRST : FIRST + residual.shape[0]]
     smooth_innovations(mean_square, residual, memory[FORGETTING], memory[COUNT] == 0.0)
     memory[COUNT] += 1.0
-    return fading_factor(mean_square, s, r)
+    return fading_factor(mean_square, s, r, False)
 
 
 add_policy(

@@ -270,7 +270,10 @@ def _as_seen_from_here(path: Path) -> str:
 
 
 def git_revision() -> str | None:
-    """Commit of the checkout that the package runs from, with ``+`` where it was changed; None outside of git."""
+    """Commit of the checkout that the package runs from, with ``+`` where it was changed; None outside of git.
+
+    ``reports`` do not count: they are made of results, and no result of them.
+    """
     import subprocess
 
     folder = Path(__file__).resolve().parents[2]
@@ -279,7 +282,7 @@ def git_revision() -> str | None:
     try:
         commands = (
             ["git", "rev-parse", "--short=12", "HEAD"],
-            ["git", "status", "--porcelain", "--untracked-files=no"],
+            ["git", "status", "--porcelain", "--untracked-files=no", "--", ".", ":(exclude)reports"],
         )
         head, changes = (subprocess.run(c, cwd=folder, capture_output=True, text=True, timeout=10) for c in commands)
     except (OSError, subprocess.TimeoutExpired):

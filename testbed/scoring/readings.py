@@ -37,22 +37,25 @@ def standing(readings: Sequence[ReadingConfig], verdicts: Mapping[str, str], con
     less = [reading for reading in fails if verdicts[reading.name] == LESS]
     parts = [("holds under", holds), ("holds in direction, not in size, under", less)]
     parts += [("fails under", [r for r in fails if r not in less]), ("is open under", unclear)]
-    sentence = "; ".join(f"{words} {_names(part)}" for words, part in parts if part)
+    sentence = "; ".join(f"{words} {_names(part, len(readings))}" for words, part in parts if part)
     if not holds and not fails:
         word = next((word for word in (RUNAWAYS, UNDECIDED) if word in verdicts.values()), NOT_TESTED)
     elif not holds or not fails:
         word = HOLDS if holds else FAILS
     else:
-        word = f"depends on {_separating(holds, fails)}"
+        separating = _separating(holds, fails)
+        word = f"depends on {' or '.join(map(' and '.join, separating)) or 'the reading'}"
+        for names in separating:
+            sentence += f"; {' and '.join(names)}: {_values(names, holds)} where it holds, {_values(names, fails)} where it fails"
     if contradiction:
         return Standing(INCONSISTENT, f"{contradiction} As tested here it {word}: it {sentence}.")
     return Standing(word, f"It {sentence}." if sentence else "")
 
 
-def _separating(holds: Sequence[ReadingConfig], fails: Sequence[ReadingConfig]) -> str:
-    """The fewest conditions that tell the readings where a claim holds from those where it fails; else "the reading".
+def _separating(holds: Sequence[ReadingConfig], fails: Sequence[ReadingConfig]) -> list[tuple[str, ...]]:
+    """The fewest conditions that tell the readings where a claim holds from those where it fails; none where all do not.
 
-    "One or other" where either alone does, so that the readings tried cannot tell which; "one and other" where it takes both.
+    Several where either alone does, so that the readings tried cannot tell which; with several names where it takes all of them.
     """
     conditions = list(dict.fromkeys(name for reading in (*holds, *fails) for name in reading.conditions))
     for size in range(1, len(conditions) + 1):
@@ -60,11 +63,19 @@ def _separating(holds: Sequence[ReadingConfig], fails: Sequence[ReadingConfig]) 
         for names in combinations(conditions, size):
             one, other = ({tuple(r.conditions.get(name) for name in names) for r in part} for part in (holds, fails))
             if not one & other:
-                found.append(" and ".join(names))
+                found.append(names)
         if found:
-            return " or ".join(found)
-    return "the reading"
+            return found
+    return []
 
 
-def _names(readings: Sequence[ReadingConfig]) -> str:
+def _values(names: tuple[str, ...], readings: Sequence[ReadingConfig]) -> str:
+    """What the conditions are in these readings."""
+    told = (" and ".join(r.conditions.get(name, "–") for name in names) for r in readings)
+    return ", ".join(f"“{value}”" for value in dict.fromkeys(told))
+
+
+def _names(readings: Sequence[ReadingConfig], total: int) -> str:
+    if len(readings) == total > 1:
+        return "every reading"
     return ", ".join(f"“{reading.name}”" for reading in readings)

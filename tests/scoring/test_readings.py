@@ -108,6 +108,18 @@ def test_class_of_a_claim(verdicts, word):
     assert quoted.word == "source inconsistent" and quoted.sentence.startswith("Text: 12 %. Table: 27 %.")
 
 
+def test_a_condition_that_decides_is_told_with_its_values():
+    """Whatever tells the readings apart: the one condition, or both where only the pair does."""
+    a, b, c = (
+        reading(n, noise=x, place=p) for n, x, p in (("a", "5 m", "0"), ("b", "5 m", "1 %"), ("c", "3 m", "1 %"))
+    )
+    one = standing([a, b, c], {"a": "reproduced", "b": "reproduced", "c": "reversed"})
+    assert one.word == "depends on noise"
+    assert one.sentence.endswith("; noise: “5 m” where it holds, “3 m” where it fails.")
+    both = standing([a, b, c], {"a": "reproduced", "b": "reversed", "c": "reproduced"})
+    assert "noise and place: “5 m and 0”, “3 m and 1 %” where it holds, “5 m and 1 %” where it fails" in both.sentence
+
+
 def test_claims_are_judged_under_every_reading(done):
     table = pd.read_csv(done / "verdicts.csv")
     assert list(table.columns) == COLUMNS
@@ -171,7 +183,9 @@ def test_the_page_shows_table_plot_and_class(done, tmp_path):
             f"**{row['verdict']}**",
         ]
         assert any(all(f" {cell} |" in line for cell in cells) for line in lines)
-    assert "**depends on noise**. It holds under “quiet”; fails under “loud”." in text
+    assert (
+        "**depends on noise**. It holds under “quiet”; fails under “loud”; noise: “low” where it holds, “high”" in text
+    )
     assert "Page 1: better. Page 2: worse." in text and "How loud it was: quiet." in text
     assert "Of 2 claims of our own: 1 depends on noise, 1 where the source is inconsistent." in page.read_text()
     for picture in sorted((out / "figures").glob("forest-*.png")):

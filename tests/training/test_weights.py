@@ -202,6 +202,14 @@ def test_a_damaged_network_of_the_cache_is_made_again(tmp_path):
         load_networks(path)
 
 
+def test_half_precision_is_of_the_file_alone(tmp_path):
+    """11 bits of each number (IEEE 754 binary16) come as singles, so that sums of them are of singles: 1 + 2^-12 stays."""
+    write_arrays(tmp_path / "h", {"a": np.array([[1.0, 2.0**-12, 1.0 / 3.0]], np.float16)}, {})
+    found = read_arrays(tmp_path / "h", "numbers")[0]["a"]
+    assert found.dtype == np.float32 and found[0, 0] + found[0, 1] == np.float32(1.0 + 2.0**-12)
+    assert abs(found[0, 2] - 1.0 / 3.0) <= 2.0**-13
+
+
 @pytest.mark.parametrize("name", BY_NAME)
 def test_the_shipped_weights_are_whole_and_say_how_they_were_made(name):
     weights = load_weights(name)

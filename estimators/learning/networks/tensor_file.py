@@ -21,7 +21,7 @@ from testbed.base.files import from_json
 
 CHECKSUM = "checksum"
 _BLANK = "0" * 64
-_KINDS = {"float64": "F64", "float32": "F32", "int64": "I64", "uint8": "U8"}
+_KINDS = {"float64": "F64", "float32": "F32", "float16": "F16", "int64": "I64", "uint8": "U8"}
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, str]) -> None:
@@ -52,7 +52,9 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], texts: Mapping[
 
 
 def read_arrays(path: Path, what: str) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """Arrays and texts of a file. A file of version 0.1 carries no checksum and is taken as it is.
+    """Arrays and texts of a file; numbers stored in half precision come as singles, which all of them are.
+
+    A file of version 0.1 carries no checksum and is taken as it is.
 
     Raises InputError, which names the file and says that it is not ``what``, where it is missing, something else, cut or
     damaged, or holds a number that is not finite.
@@ -79,7 +81,7 @@ def read_arrays(path: Path, what: str) -> tuple[dict[str, NDArray[Any]], dict[st
         if not np.isfinite(values).all():
             count = int((~np.isfinite(values)).sum())
             raise InputError(f"{path}: '{name}' has {count} numbers that are not finite; make the file again")
-    return arrays, texts
+    return {name: a.astype(np.float32) if a.dtype == np.float16 else a for name, a in arrays.items()}, texts
 
 
 def check_shapes(path: Path, arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]]) -> None:

@@ -290,6 +290,38 @@ def test_fading_stops_where_nothing_is_known_any_more() -> None:
     assert np.degrees(solution.std[:, 8].max()) < 1000.0
 
 
+@pytest.mark.parametrize("raw", [False, True])
+def test_the_fading_factor_is_the_papers(raw: bool) -> None:
+    """From what is recorded: Y_k = (rho Y + v v') / (1 + rho), L = tr(N (Y - R)) / tr(N H P H'), N = R^-1 or, raw, 1.
+
+    The recorded innovation covariance is L H P H' + R, in metres of its own latitude; the filter's are of the first, off by 1e-6
+    on this flight: of the 9 m² of R, that is 1e-3 of the least H P H'.
+    """
+    truth = weaving_flight(30.0, bank=0.7)
+    log = sensor_log(truth, 3, gnss_rate=5.0, position_sigma=3.0, velocity_sigma=0.1, std=(3.0, 0.1, 0.02))
+    solution = Stekf(raw_trace=raw).run(log)
+    (_, fading), seen = solution.extras["fading_factor"], solution.innovations["gnss"]
+    r = np.repeat([9.0, 0.01], 3)
+    weight = np.ones(6) if raw else 1.0 / r
+    expected, y = [], None
+    for value, s, factor in zip(seen.value, seen.covariance, fading, strict=True):
+        y = value**2 if y is None else (0.95 * y + value**2) / 1.95
+        expected.append(max(1.0, weight @ (y - r) / (weight @ (np.diag(s) - r) / factor)))
+    assert (fading > 1.0).sum() > 10
+    np.testing.assert_allclose(fading, expected, rtol=2e-3)
+
+
+def test_the_ceiling_of_fading_is_a_parameter() -> None:
+    """Straight flight, whose yaw is faded to its ceiling: 180°, or a tenth of it, and the 3°/s · 0.2 s of gyro bias between fixes."""
+    truth = phased_flight((("cv", 80.0, 0.0, 0.0),))
+    raw = sensor_log(truth, 0, gnss_rate=5.0, position_sigma=3.0, velocity_sigma=0.1, std=(3.0, 0.1, 0.01))
+    faulty = with_biases(raw, accel=0.1, gyro=1e-3)
+    yaw = [np.degrees(Stekf(ceiling_scale=scale).run(faulty).std[:, 8].max()) for scale in (1.0, 0.1)]
+    assert yaw[0] > 150.0 and 15.0 < yaw[1] < 30.0
+    with pytest.raises(InputError, match="ceiling_scale"):
+        Stekf(ceiling_scale=0.0)
+
+
 def test_bad_parameters_and_logs_are_refused(log: SensorLog) -> None:
     with pytest.raises(InputError, match="significance"):
         Rstekf(significance=1.5)
