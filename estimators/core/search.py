@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimators.core.composition import Composition, Prepared, imu_of, make_lanes, make_timeline_of, prepare
 from estimators.core.recording import keeper
-from estimators.core.timeline import walk
+from estimators.core.timeline import require_one_timeline, walk
 from testbed.base.errors import InputError
 from testbed.data.records import SensorLog, Trajectory
 from testbed.kernels import njit
@@ -99,6 +99,8 @@ class Searcher:
 
     batch_size = WIDTH
     """Candidates that `batch` filters at once, in the time of about one."""
+    takes_logs = True
+    """Whether `batch` takes a log for each candidate."""
 
     def __init__(self, composition: Composition, log: SensorLog, reference: Trajectory, stride: int = 10) -> None:
         times = log.imu.t[stride - 1 :: stride]
@@ -116,23 +118,33 @@ class Searcher:
         rmse, deviance = self.batch([candidate])
         return rmse[0], float(deviance[0])
 
-    def batch(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
-        """RMSE (n,9) and deviance (n,) of candidates, each as if it were alone; lanes without a candidate repeat one."""
+    def batch(self, candidates: Sequence[Candidate], logs: Sequence[SensorLog] | None = None) -> tuple[Array, Array]:
+        """RMSE (n,9) and deviance (n,) of candidates, each as if it were alone; lanes without a candidate repeat one.
+
+        ``logs`` (n): each candidate filters its own, with other noise on the same times, instead of the searcher's.
+        """
         rmse, deviance = np.empty((len(candidates), 9)), np.empty(len(candidates))
         for first in range(0, len(candidates), WIDTH):
             part = slice(first, first + WIDTH)
-            rmse[part], deviance[part] = self._filter(candidates[part])
+            rmse[part], deviance[part] = self._filter(candidates[part], None if logs is None else logs[part])
         return rmse, deviance
 
-    def _filter(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
-        prepared = self._prepared
+    def _filter(self, candidates: Sequence[Candidate], logs: Sequence[SensorLog] | None) -> tuple[Array, Array]:
+        prepared = [self._prepared] * len(candidates)
+        if logs is not None:
+            prepared = [prepare(self._prepared.composition, log) for log in logs]
+            require_one_timeline([make_timeline_of(each) for each in (self._prepared, *prepared)], "search")
         if any(getattr(candidate, "measurement_noise", None) is not None for candidate in candidates):
-            prepared = replace(prepared, mix=None)  # deviations of the candidates' own, without correlations
-        noise = [candidate.noise(prepared) for candidate in candidates]
-        filters = [replace(prepared, white=white, drive=drive, r=r) for white, drive, r in noise]
+            # deviations of the candidates' own, without correlations
+            prepared = [replace(each, mix=None) for each in prepared]
+        noise = [candidate.noise(each) for candidate, each in zip(candidates, prepared, strict=True)]
+        filters = [
+            replace(each, white=white, drive=drive, r=r)
+            for each, (white, drive, r) in zip(prepared, noise, strict=True)
+        ]
         score = Score(self._stride, self._truth, zeros(9), zeros(1), np.zeros(1, dtype=np.int64))
-        line = make_timeline_of(prepared)
-        walk(line, make_lanes(filters, score, self._imu), len(line.t))
+        line = make_timeline_of(prepared[0])
+        walk(line, make_lanes(filters, score, self._imu if logs is None else None), len(line.t))
         rmse = np.sqrt(score.squares.array / len(self._truth))
         rmse[6:] = np.degrees(rmse[6:])
         with np.errstate(divide="ignore", invalid="ignore"):

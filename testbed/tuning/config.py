@@ -22,6 +22,8 @@ Count = Annotated[int, Field(ge=1)]
 Run = Annotated[int, Field(ge=0)]
 DATA_SHEET = "data-sheet"
 """Row of the parameters that the scenario gives, in the tables of a study."""
+FRESH_RUNS = 1_000_000
+"""First run of ``noise = "fresh"``; each search has as many of its own, so that none is met twice."""
 INNOVATIONS = "innovations"
 """Prefix of the row of the search for the likeliest innovations."""
 
@@ -72,6 +74,8 @@ class TuneConfig(Table):
     """Default: all that the estimator declares."""
     settings: dict[str, dict[str, Any]] = {}
     """Settings of an algorithm: keywords of its function."""
+    noise: Literal["frozen", "fresh"] = "frozen"
+    """Whether every candidate meets the noise of ``train_runs``, or each one noise that no other has met (turn-on errors too)."""
     stride: Count = 10
     """Every so many samples count during the search, where the estimator offers a fast path."""
     penalty: Annotated[float, Field(gt=0)] = 1e6
@@ -100,6 +104,8 @@ class TuneConfig(Table):
             raise ValueError("cases need names that differ")
         if shared := set(self.train_runs) & set(self.test_runs):
             raise ValueError(f"runs {sorted(shared)} are both train_runs and test_runs")
+        if self.noise == "fresh" and max(self.train_runs + self.test_runs) >= FRESH_RUNS:
+            raise ValueError(f"runs from {FRESH_RUNS} on are those of noise = 'fresh'")
         return self
 
 
@@ -149,6 +155,11 @@ class Task:
     def name(self) -> str:
         """Its file name."""
         return f"{INNOVATIONS + '-' if self.likelihood else ''}{self.algorithm}-{self.iterations:04d}-seed{self.seed}"
+
+    def fresh_runs(self, first: int, count: int) -> range:
+        """The Monte Carlo runs whose noise its evaluations from ``first`` on meet under ``noise = "fresh"``."""
+        start = FRESH_RUNS * (1 + self.seed) + first
+        return range(start, start + count)
 
 
 def tasks_of(config: TuneConfig) -> list[Task]:

@@ -7,7 +7,7 @@ defines ``run``, whose result may take ``batch_size`` candidates at once by a me
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -30,8 +30,10 @@ from testbed.tuning.space import Space, make_space
 DEVIANCE = "innovation_deviance"
 """Name of -2 log likelihood of the innovations per fix, up to a constant."""
 Metrics = dict[str, float]
-Task = tuple[Sequence[Mapping[str, Any]], int]
-"""Parameters of some candidates, and the recording on which they are scored."""
+Task = tuple[Sequence[Mapping[str, Any]], int, Sequence[int] | None]
+"""Parameters of some candidates, the recording on which they are scored, and the runs whose noise they meet instead of its own."""
+Sense = Callable[[Any, int], SensorLog]
+"""What a recording's sensors give in another run on the same flight."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,8 @@ def deviance(innovations: Innovations) -> float:
 class Objective:
     """Evaluates populations. Use it as a context, or `close` it: it holds threads or processes.
 
-    ``metrics`` are summed; pass ``[DEVIANCE]`` for the likelihood. ``fast`` says which path is taken.
+    ``metrics`` are summed; pass ``[DEVIANCE]`` for the likelihood. ``fast`` says which path is taken. ``sense`` makes the log
+    of a run for candidates that each meet noise of their own.
     """
 
     def __init__(
@@ -117,7 +120,9 @@ class Objective:
         penalty: float = 1e6,
         jobs: int = 1,
         plugins: Sequence[str | Path] = (),
+        sense: Sense | None = None,
     ) -> None:
+        self._sense = sense
         self.estimator, self.fixed, self.space, self.metrics = estimator, dict(fixed), space, list(metrics)
         self._plugins = [str(path) for path in plugins]
         self.recordings, self.window, self.penalty, self.jobs = list(recordings), window, penalty, jobs
@@ -126,7 +131,7 @@ class Objective:
         self._score, self._pool = self._path(stride)
 
     def _path(self, stride: int) -> tuple[Callable[[Task], list[float]], Executor | None]:
-        self._portion = 1
+        self._portion, self.takes_logs = 1, False
         make_searcher = fast_path(estimator_class(self.estimator), "searcher")
         self.fast = (
             make_searcher is not None and self.window == "all" and set(self.metrics) <= {*RMSE_METRICS, DEVIANCE}
@@ -143,23 +148,36 @@ class Objective:
         rows = [RMSE_METRICS.index(m) for m in self.metrics if m != DEVIANCE]
         likelihood = DEVIANCE in self.metrics
         self._portion = getattr(searchers[0], "batch_size", 1)
+        self.takes_logs = getattr(searchers[0], "takes_logs", False)
 
         def score_some(task: Task) -> list[float]:
-            candidates, k = task
+            candidates, k, runs = task
             made = [make_estimator(self.estimator, **params) for params in candidates]
             score = searchers[k]
-            found = (
-                zip(*score.batch(made), strict=True) if self._portion > 1 else (score(candidate) for candidate in made)
-            )
+            found: Iterable[Any]
+            if runs is not None and self._sense is not None:
+                logs = [self._sense(self.recordings[k], run) for run in runs]
+                found = zip(*score.batch(made, logs), strict=True)
+            elif self._portion > 1:
+                found = zip(*score.batch(made), strict=True)
+            else:
+                found = (score(candidate) for candidate in made)
             return [float(rmse[rows].sum()) + (float(d) if likelihood else 0.0) for rmse, d in found]
 
         return score_some
 
-    def __call__(self, x: Array) -> Array:
-        """(n,d) points to (n,) values; the penalty where a candidate diverges on any recording."""
+    def __call__(self, x: Array, runs: Sequence[int] | None = None) -> Array:
+        """(n,d) points to (n,) values; the penalty where a candidate diverges on any recording.
+
+        ``runs`` (n): the Monte Carlo run whose noise each of them meets; None: that of the recordings.
+        """
         candidates = [self.space.over(self.fixed, row) for row in np.atleast_2d(x)]
-        portions = [candidates[k : k + self._portion] for k in range(0, len(candidates), self._portion)]
-        tasks = [(portion, k) for k in range(len(self.recordings)) for portion in portions]
+        parts = [slice(k, k + self._portion) for k in range(0, len(candidates), self._portion)]
+        tasks: list[Task] = [
+            (candidates[part], k, None if runs is None else runs[part])
+            for k in range(len(self.recordings))
+            for part in parts
+        ]
         found = map(self._score, tasks) if self._pool is None else self._pool.map(self._score, tasks)
         values = np.concatenate(list(found)).reshape(len(self.recordings), len(candidates))
         total = np.zeros(len(candidates))
@@ -188,7 +206,7 @@ class _Scorer:
         self.estimator, self.metrics, self.window, self.recordings = estimator, metrics, window, recordings
 
     def __call__(self, task: Task) -> list[float]:
-        candidates, k = task
+        candidates, k, _ = task
         found = [full_score(self.estimator, params, self.recordings[k], self.window) for params in candidates]
         return [float(sum(scores.get(metric, np.inf) for metric in self.metrics)) for scores in found]
 
@@ -232,5 +250,25 @@ def make_objective(
     entry = tuned_entry(scenario, config)
     metrics = [DEVIANCE] if likelihood else config.metrics
     space = scenario_space(scenario, config)
-    chosen = (metrics, config.window, config.stride, config.penalty, jobs, plugins)
-    return Objective(entry.name, entry.params, space, recordings, *chosen)
+    sense = None if config.noise == "frozen" else _sense_anew(scenario, config)
+    chosen = (metrics, config.window, config.stride, config.penalty, jobs, plugins, sense)
+    made = Objective(entry.name, entry.params, space, recordings, *chosen)
+    if sense is not None and not made.takes_logs:
+        made.close()
+        raise InputError(
+            f"{scenario.source_path}: [extra.tune] noise = 'fresh': '{entry.row}' with this window and these metrics has no"
+            " fast path that takes a log for each candidate; use noise = 'frozen'"
+        )
+    return made
+
+
+def _sense_anew(scenario: Scenario, config: TuneConfig) -> Sense:
+    """What the sensors of a recording's case give in another run. Raises InputError where flights vary, or nothing is sensed."""
+    cases = {case.name: case_scenario(scenario, case) for case in config.cases}
+    for made in cases.values():
+        if made.flight is None or pipeline.flight_varies(made):
+            raise InputError(
+                f"{scenario.source_path}: [extra.tune] noise = 'fresh' draws the errors of the sensors anew on one flight: it"
+                " needs [flight] and sensors, and no flight that varies"
+            )
+    return lambda recording, run: pipeline.sense(cases[recording.case], recording.trajectory, run=run)[0]

@@ -102,29 +102,6 @@ def best_flight(name: str, candidates: Mapping[str, Mapping[str, Any]], recordin
     _save(figure, path)
 
 
-def heldout(table: pd.DataFrame, path: Path) -> None:
-    """Improvement over the data sheet on unseen runs with its interval, per result, the best on top."""
-    plt = _pyplot()
-    chosen = table[table["improvement_pct"].notna()].sort_values("improvement_pct")
-    studies = list(dict.fromkeys(table["study"]))
-    figure, axes = plt.subplots(figsize=(8.0, 0.24 * len(chosen) + 1.2), layout="constrained")
-    for k, study in enumerate(studies):
-        own = (chosen["study"] == study).to_numpy()
-        if own.any():
-            places, part = np.flatnonzero(own), chosen[own]
-            reach = np.abs(part[["ci_low", "ci_high"]].to_numpy() - part[["improvement_pct"]].to_numpy()).T
-            axes.errorbar(part["improvement_pct"], places, xerr=reach, fmt="o", ms=4, color=COLOURS[k % 8])
-    axes.axvline(0.0, color="0.3", lw=0.8)
-    names = [f"{study}: {row}" for study, row in zip(chosen["study"], chosen["row"], strict=True)]
-    axes.set_yticks(np.arange(len(chosen)), names, fontsize=7)
-    axes.set_xscale("symlog", linthresh=10.0)
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_xlim(right=max(20.0, 1.2 * float(chosen["ci_high"].max())))
-    axes.set_xlabel("improvement over the data sheet on unseen runs, % (95 % interval)")
-    axes.grid(alpha=0.3, axis="x")
-    _save(figure, path)
-
-
 def _pyplot() -> Any:
     import matplotlib as mpl
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed.base.csv_text import csv_text, read_csv
-from testbed.base.errors import InputError
 from testbed.base.files import as_json, write_atomic
 from testbed.base.schema import read_toml
 from testbed.montecarlo.folders import Folder
@@ -32,19 +31,16 @@ SEEDS = 20
 PAPER_HOURS = 1140.0
 
 
-def write_report(
-    folder: str | Path, out: str | Path | None = None, figures: bool = True, others: Sequence[Path] = ()
-) -> Path:
+def write_report(folder: str | Path, out: str | Path | None = None, figures: bool = True) -> Path:
     """Write ``report.md``, ``report.html``, tables and figures to ``out`` (default: the study's folder); returns the text's path.
 
-    ``others`` are studies that were scored on the same unseen runs, to stand in one table with this one; what `write_speed` and
-    `write_functions` left in ``out`` is shown. Raises InputError when the folder holds no finished study.
+    What `write_speed` and `write_functions` left in ``out`` is shown. Raises InputError when the folder holds no finished study.
     """
     study = Study(Path(folder))
     if out is not None and Path(out).resolve() != study.folder.resolve():
-        return _write(study, _Target(Path(out)), figures, others)
+        return _write(study, _Target(Path(out)), figures)
     with Folder.open(study.folder, KIND) as own:
-        path = _write(study, _Target(study.folder, own), figures, others)
+        path = _write(study, _Target(study.folder, own), figures)
         own.save()
     return path
 
@@ -71,7 +67,7 @@ class _Target:
             self._own.finish(name)
 
 
-def _write(study: Study, to: _Target, figures: bool, others: Sequence[Path]) -> Path:
+def _write(study: Study, to: _Target, figures: bool) -> Path:
     target = to.path
     ranks = tables.rank_sums(study.statistics[_of_paper(study.statistics.columns, study)])
     beside, verdicts = comparison(study), claims(study, ranks)
@@ -94,8 +90,6 @@ def _write(study: Study, to: _Target, figures: bool, others: Sequence[Path]) -> 
         "Objective of every result; improvement over the data sheet in %, paired over the unseen runs, 95 % interval.\n",
         markdown(study.heldout.sort_values("train", kind="stable")),
     ]
-    if others:
-        parts += _several(study, others, to, figures)
     if (target / "functions.csv").is_file():
         parts += _functions(target / "functions.csv")
     if (target / "speed.csv").is_file():
@@ -167,46 +161,6 @@ def _speed(path: Path) -> list[str]:
         f" columns come from it; ``table_h`` is the paper's whole table of {TABLE_EVALUATIONS} evaluations, in hours.\n",
         markdown(read_csv(path)),
     ]
-
-
-def several_studies(studies: Sequence[Study]) -> pd.DataFrame:
-    """``heldout.csv`` of several studies in one table, with the variant and the variables; the data sheet wherever it differs."""
-    import pandas as pd
-
-    tables_ = [
-        study.heldout.assign(
-            study=study.manifest["variant"] or "as it stands",
-            variables=len(study.manifest["space"]),
-            flights=len(study.config.train_runs),
-        )
-        for study in studies
-    ]
-    table = pd.concat([part.sort_values("test", kind="stable") for part in tables_], ignore_index=True)
-    repeated = table["row"].eq(DATA_SHEET) & table["test"].map("{:.5g}".format).duplicated()
-    table = table[~repeated]
-    front = ["study", "variables", "flights"]
-    return table[[*front, *(c for c in table.columns if c not in front)]]
-
-
-def _several(study: Study, others: Sequence[Path], to: _Target, figures: bool) -> list[str]:
-    """The held-out table over several studies, and its figure."""
-    studies = [study, *(Study(folder) for folder in others)]
-    for other in studies[1:]:
-        if other.config.test_runs != study.config.test_runs:
-            raise InputError(f"{other.folder}: was scored on other unseen runs than {study.folder}")
-    table = several_studies(studies)
-    to.write("heldout-all.csv", csv_text(table, float_format="%.6g").encode())
-    text = [
-        "## Studies with other boxes and other training flights, on the same unseen runs\n",
-        "``train`` is the mean over the flights of that study. In each study the best by ``test`` stands first.\n",
-        markdown(table),
-    ]
-    if figures:
-        from testbed.tuning import plots
-
-        to.draw("heldout.png", partial(plots.heldout, table))
-        text.append("![improvement over the data sheet on unseen runs](heldout.png)\n")
-    return text
 
 
 def comparison(study: Study) -> pd.DataFrame:

@@ -98,9 +98,17 @@ def tune(
 
 
 def _abreast(tasks: Sequence[Task]) -> Iterator[list[Task]]:
-    """Searches in the order in which they run: each by itself, then side by side those that ask for single candidates."""
-    single = [task for task in tasks if task.algorithm in ONE_BY_ONE]
-    yield from ([task] for task in tasks if task not in single)
+    """Searches in the order in which they run, side by side what can fill one another's lanes.
+
+    The seeds of an algorithm and length together, as a population alone leaves lanes empty; a longer search after the shorter
+    one, whose values it may borrow; at the end all that ask for single candidates.
+    """
+    groups: dict[tuple[str, int], list[Task]] = {}
+    for task in tasks:
+        alone = task.algorithm not in ONE_BY_ONE
+        groups.setdefault((task.algorithm, task.iterations) if alone else ("", 0), []).append(task)
+    single = groups.pop(("", 0), [])
+    yield from groups.values()
     if single:
         yield single
 
@@ -116,7 +124,8 @@ class _Course:
         )
         study = folder.manifest["identity"]
         self.history = History(path, objective.space.names, relatives=others, study=study)
-        _unchanged(self.history, objective)
+        self._fresh = config.noise == "fresh"
+        _unchanged(self.history, objective, self.runs(0, 1))
         settings = config.settings.get(task.algorithm)
         bounds = objective.space.bounds
         self.search = make_search(task.algorithm, bounds, config.population, task.iterations, task.seed, settings)
@@ -128,6 +137,10 @@ class _Course:
         while not self.done and (f := self.history.recall(self.search.ask())) is not None:
             self.tell(f, meter)
             meter.add(len(f), self.task.name, self.best, fresh=False)
+
+    def runs(self, first: int, count: int) -> list[int] | None:
+        """Whose noise the evaluations from ``first`` on meet, where it is not that of the recordings."""
+        return list(self.task.fresh_runs(first, count)) if self._fresh else None
 
     @property
     def best(self) -> float:
@@ -184,7 +197,8 @@ def _search(
                 raise Stopped(f"{folder.out}: time is up in {names}; the same command with --resume goes on")
             asked = [course.search.ask() for course in running]
             start = time.perf_counter()
-            f = objective(np.concatenate(asked))
+            runs = [course.runs(len(course.history), len(x)) for course, x in zip(running, asked, strict=True)]
+            f = objective(np.concatenate(asked), [run for some in runs for run in some or ()] or None)
             each = (time.perf_counter() - start) / len(f)
             ends = np.cumsum([len(x) for x in asked])
             for course, x, values in zip(running, asked, np.split(f, ends[:-1]), strict=True):
@@ -200,11 +214,11 @@ def _search(
             course.close()
 
 
-def _unchanged(history: History, objective: Objective) -> None:
+def _unchanged(history: History, objective: Objective, runs: list[int] | None) -> None:
     """Raise InputError when a stored candidate has another value now: flight, sensors or estimator have changed."""
     if stored := history.first():
         path, x, f = stored
-        now = float(objective(x)[0])
+        now = float(objective(x, runs)[0])
         if abs(now - f[0]) > SAME_VALUE * abs(now):
             raise InputError(
                 f"{path}: its first candidate had the objective {f[0]:.9g} and has {now:.9g} now: the flight, the "

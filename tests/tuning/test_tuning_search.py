@@ -99,6 +99,24 @@ def test_mipo_step_by_hand():
     np.testing.assert_allclose(moved[1], 6.0 + 0.25 * 0.5 * -np.sqrt(0.5) + 0.75 * 0.5 * -6.0, atol=1e-12)
 
 
+def test_equation_seven_as_printed_forgets_the_place():
+    """The same step without x_i on the right: what is left of the worse agent is its pull; the best one falls to 0."""
+    steps = mipo(Bounds(np.array([-9.0]), np.array([9.0])), 2, 2, FixedDraws(), keeps_place=False)
+    x = next(steps).copy()
+    moved = steps.send(np.array([0.0, 6.0]))
+    slope = -np.sin(np.arctan(6.0 / 18.0))
+    np.testing.assert_allclose(x, [[-9.0], [9.0]])
+    np.testing.assert_allclose(moved, [[0.0], [0.25 * 0.5 * slope + 0.75 * 0.5 * -18.0]], atol=1e-12)
+
+
+def test_planes_of_worse_agents_push_away():
+    """Agent 0 at 1 with f = 3, agent 1 at 4 with f = 7: the better one is pushed from the worse by sin(atan(4/-3)) = -4/5."""
+    a = acceleration(np.array([[1.0], [4.0]]), np.array([3.0, 7.0]), "worse")
+    np.testing.assert_allclose(a, [[-0.8], [0.0]], atol=1e-15)
+    with pytest.raises(InputError, match="planes = 'best': of 'better' or of 'worse'"):
+        make_search("ipo", BOX, 4, 2, 0, {"planes": "best"})
+
+
 @pytest.mark.parametrize(
     ("algorithm", "k2"), [(sipo, 2.0 / (1.0 + np.exp(-(1.0 - 0.1 * 10)))), (iipo, 1.75 / (1.0 + np.exp(-1.0)))]
 )

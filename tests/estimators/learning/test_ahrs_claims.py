@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-REPORTS = Path(__file__).resolve().parents[3] / "reports"
+REPORTS = Path(__file__).resolve().parents[3] / "reports" / "studies"
 
 
 @pytest.fixture(scope="module")
@@ -138,3 +138,22 @@ def test_what_the_paper_says_of_mean_squares_is_claimed_of_roots_as_such(variant
     stated = {c.id: c.paper_improvement_pct for c in load_scenario("ahrs-lstm-2022", variant=variant).claims}
     for identity, square in (("1-roll", 36.6), ("1-pitch", 34.2)):
         assert stated[identity] == pytest.approx(100.0 * (1.0 - np.sqrt(1.0 - square / 100.0)), abs=0.05)
+
+
+def test_a_verdict_table_has_the_class_of_its_claim(study):
+    """Half the mean square with one optimiser and twice with the other: it hangs on the optimiser; a contradiction comes first."""
+    readings = {"a": ("SGD", {"optimiser": "SGD"}), "b": ("Adam", {"optimiser": "Adam"})}
+    claims = [
+        study.claim("1-roll", "lower"),
+        study.claim("3-text", "less noise", contradiction="text: 40 %; table: 28 %"),
+    ]
+    rows = [
+        row
+        for network, mean in (("a", np.log(0.5)), ("b", np.log(2.0)))
+        for row in study.judged(network, [(claim, study.Measured(mean, 0.05, 9)) for claim in claims])
+    ]
+    found = {(row["claim"], row["reading"]): row for row in study.as_verdicts(rows, readings)}
+    assert found["1-roll", "SGD"]["verdict"] == "reproduced" and found["1-roll", "Adam"]["verdict"] == "reversed"
+    assert {row["class"] for (claim, _), row in found.items() if claim == "1-roll"} == {"depends on optimiser"}
+    assert {row["class"] for (claim, _), row in found.items() if claim == "3-text"} == {"source inconsistent"}
+    assert found["1-roll", "SGD"]["effect_pct"] == pytest.approx(50.0) and found["1-roll", "SGD"]["runs"] == 10

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-REPORTS = Path(__file__).resolve().parents[3] / "reports"
+REPORTS = Path(__file__).resolve().parents[3] / "reports" / "studies"
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
-"""What the AHRS report has beside its runs: the log at rest of the Allan table, attitude rates, and its command."""
+"""What the AHRS report has beside its runs: the log at rest of the Allan table, attitude rates, and how a table is written."""
 
-import importlib.util
+import importlib
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -8,16 +9,20 @@ import pytest
 
 from testbed.physics.earth import gravity
 
-SPEC = importlib.util.spec_from_file_location(
-    "ahrs_studies", Path(__file__).resolve().parents[3] / "reports" / "ahrs_studies.py"
-)
-assert SPEC is not None and SPEC.loader is not None
-ahrs_studies = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(ahrs_studies)
+STUDIES = Path(__file__).resolve().parents[3] / "reports" / "studies"
 
 
 @pytest.fixture(scope="module")
-def log():
+def ahrs_studies():
+    sys.path.insert(0, str(STUDIES))
+    try:
+        return importlib.import_module("ahrs_studies")
+    finally:
+        sys.path.remove(str(STUDIES))
+
+
+@pytest.fixture(scope="module")
+def log(ahrs_studies):
     return ahrs_studies.log_at_rest(60.0, 1)
 
 
@@ -28,7 +33,7 @@ def test_the_bench_is_level_and_still(log):
     assert np.degrees(np.abs(gyro.mean(0))).max() < 5 * 0.02 + 0.005  # and the Earth's 0.004 °/s
 
 
-def test_the_attitude_of_a_filter_turns_as_the_gyros_say_less_the_bias(log):
+def test_the_attitude_of_a_filter_turns_as_the_gyros_say_less_the_bias(log, ahrs_studies):
     """At rest a filter's corrections are small beside the gyros' noise."""
     rates = ahrs_studies.attitude_rates(log)
     assert list(rates) == ["IMU", "KF", "adaptive KF", "LSTM"]
@@ -38,11 +43,6 @@ def test_the_attitude_of_a_filter_turns_as_the_gyros_say_less_the_bias(log):
         assert rms < 0.2  # the field's noise; that of the gyros, which the attitude follows, is 0.35 °/s
 
 
-def test_a_table_has_five_digits(tmp_path):
+def test_a_table_has_five_digits(tmp_path, ahrs_studies):
     ahrs_studies.write_table(tmp_path / "new" / "t.csv", [{"a": 1.23456789, "b": "x"}])
     assert (tmp_path / "new" / "t.csv").read_text() == "a,b\n1.2346,x\n"
-
-
-def test_an_unknown_study_is_refused():
-    with pytest.raises(SystemExit, match="no such study"):
-        ahrs_studies.main(["alan"])

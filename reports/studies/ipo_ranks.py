@@ -1,0 +1,316 @@
+"""The claims of IPO 2022 from the rows of its searches: places with intervals over the search seeds, and who is better under which reading.
+
+A reading says which searches stand for an algorithm; one whose searches are not all made is left out. Seeds of two algorithms
+are independent, so pairing them by number costs only degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jobs import Place, read_table, write_csv
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SIX = ("ipo", "pso", "sipo", "ga", "iipo", "mipo")
+"""In the order of the paper's final ranking."""
+CASES = ("ADIS16405", "ADIS16488")
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """``parts``: which job's searches stand for an algorithm ("": for all that are not named)."""
+
+    name: str
+    conditions: Mapping[str, str]
+    parts: Mapping[str, str]
+
+    def rows(self, folder: Path) -> pd.DataFrame | None:
+        """The searches of the six, or None where some are not made."""
+        import pandas as pd
+
+        found = []
+        for algorithm in SIX:
+            path = folder / f"searches-{self.parts.get(algorithm, self.parts.get('', '') + '-' + group(algorithm))}.csv"
+            if not path.is_file():
+                return None
+            table = read_table(path)
+            found.append(table[table["algorithm"] == algorithm])
+        return pd.concat(found, ignore_index=True)
+
+
+def group(algorithm: str) -> str:
+    """The end of the name of the job that has an algorithm: the two that ask for single candidates share one."""
+    return "sipo-iipo" if algorithm in ("sipo", "iipo") else algorithm
+
+
+PAPER_BOX, LOG_BOX = "0 to 1", "three decades either way of the data sheet"
+READINGS = (
+    Reading(
+        "0 to 1, 100 iterations",
+        {
+            "box": PAPER_BOX,
+            "iterations": "100",
+            "equation 7": "with x_i",
+            "planes": "of better agents",
+            "IIPO": "F 1, beta 2",
+        },
+        {"": "box-100"},
+    ),
+    Reading(
+        "0 to 1, eq. 7 as printed",
+        {
+            "box": PAPER_BOX,
+            "iterations": "100",
+            "equation 7": "as printed",
+            "planes": "of better agents",
+            "IIPO": "F 1, beta 2",
+        },
+        {"": "box-100", "ipo": "box-100-eq7-ipo", "mipo": "box-100-eq7-mipo"},
+    ),
+    Reading(
+        "0 to 1, planes of worse agents",
+        {
+            "box": PAPER_BOX,
+            "iterations": "100",
+            "equation 7": "with x_i",
+            "planes": "of worse agents",
+            "IIPO": "F 1, beta 2",
+        },
+        {"": "box-100", "ipo": "box-100-worse-ipo", "mipo": "box-100-worse-mipo"},
+    ),
+    Reading(
+        "0 to 1, IIPO as its scan reads",
+        {
+            "box": PAPER_BOX,
+            "iterations": "100",
+            "equation 7": "with x_i",
+            "planes": "of better agents",
+            "IIPO": "F 2, beta 1.75",
+        },
+        {"": "box-100", "iipo": "box-100-iipo-scan"},
+    ),
+    Reading(
+        "0 to 1, 200 iterations",
+        {
+            "box": PAPER_BOX,
+            "iterations": "200",
+            "equation 7": "with x_i",
+            "planes": "of better agents",
+            "IIPO": "F 1, beta 2",
+        },
+        {"": "box-200"},
+    ),
+    Reading(
+        "log, 100 iterations",
+        {
+            "box": LOG_BOX,
+            "iterations": "100",
+            "equation 7": "with x_i",
+            "planes": "of better agents",
+            "IIPO": "F 1, beta 2",
+        },
+        {"": "log-100"},
+    ),
+    Reading(
+        "log, 200 iterations",
+        {
+            "box": LOG_BOX,
+            "iterations": "200",
+            "equation 7": "with x_i",
+            "planes": "of better agents",
+            "IIPO": "F 1, beta 2",
+        },
+        {"": "log-200"},
+    ),
+)
+SHORT = {PAPER_BOX: "0 to 1", LOG_BOX: "log"}
+SHEETS = tuple(
+    row
+    for box, name, recorded in ((PAPER_BOX, "box-100-ipo", "navego-box"), (LOG_BOX, "log-100-ipo", "navego-log"))
+    for row in (
+        (box, "the flight searched", name, "train", "data-sheet.csv", "train"),
+        (box, "unseen flights", name, "test", "data-sheet.csv", "test"),
+        (box, "NaveGo recording", recorded, "train", "navego-data-sheet.csv", "train"),
+    )
+)
+"""Box, flight, job of the searches, their column, table of the data sheet's settings, and which runs of it."""
+PLACES, RANKING, FITNESS, SHEET = "places.csv", "ranking.csv", "verdicts-fitness.csv", "verdicts-data-sheet.csv"
+TABLES = (RANKING, PLACES, FITNESS, SHEET)
+
+
+def made(folder: Path) -> dict[str, str]:
+    """Which tables of searches are there, each with its checksum: what the ranks hang on."""
+    return {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()[:16] for path in sorted(folder.glob("searches-*.csv"))
+    }
+
+
+def make(place: Place) -> None:
+    """`TABLES` of every reading whose searches are made. Exits where there is none."""
+    import pandas as pd
+
+    found = {reading: rows for reading in READINGS if (rows := reading.rows(place.target)) is not None}
+    if not found:
+        sys.exit("ipo-2022/ranks: no reading has the searches of all six algorithms yet; make those of box-100 first")
+    tables = [places(rows).assign(reading=reading.name) for reading, rows in found.items()]
+    table = pd.concat(tables, ignore_index=True)
+    write_csv(place.target / PLACES, table[["reading", *table.columns.drop("reading")]])
+    write_csv(place.target / RANKING, side_by_side(table))
+    write_csv(place.target / FITNESS, verdicts(found))
+    write_csv(place.target / SHEET, sheet_verdicts(place.target))
+
+
+def places(rows: pd.DataFrame) -> pd.DataFrame:
+    """Table 4 with its sub-ranks: fitness by statistic, fitness, each IMU, all; without time, which is of one machine."""
+    from testbed.tuning.ranks import STATISTICS, rank_table
+
+    lines = rows.rename(columns={"best": "fitness"})
+    parts = {f"fitness, {s}": [("fitness", s)] for s in STATISTICS}
+    parts["fitness"] = [("fitness", s) for s in STATISTICS]
+    for case in CASES:
+        parts[case] = [(name, s) for name in lines.columns if name.startswith(f"{case}:") for s in STATISTICS]
+    parts["all"] = parts["fitness"] + parts[CASES[0]] + parts[CASES[1]]
+    table = rank_table(lines, parts).assign(searches=len(lines) // len(SIX))
+    mean, least = (lines.groupby("algorithm")["fitness"].agg(how) for how in ("mean", "min"))
+    return table.assign(fitness_mean=table["algorithm"].map(mean), fitness_min=table["algorithm"].map(least))
+
+
+def side_by_side(table: pd.DataFrame) -> pd.DataFrame:
+    """A column per algorithm: its place, and the interval of the place in brackets."""
+    import pandas as pd
+
+    rows = []
+    for (reading, part), own in table.groupby(["reading", "part"], sort=False):
+        row = {"reading": reading, "part": part, "searches": own["searches"].iloc[0]}
+        for entry in own.to_dict("records"):
+            row[entry["algorithm"]] = f"{entry['place']:g} ({entry['place_low']:g} to {entry['place_high']:g})"
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def sheet_verdicts(folder: Path) -> pd.DataFrame:
+    """Claim 2, what IPO finds against the data sheet's own settings: on the flight that it searched, on others, on a recording.
+
+    Replicates are searches; how far the unseen flights scatter stands in each search's own row.
+    """
+    import numpy as np
+
+    claim = (
+        "2-data-sheet",
+        "settings that IPO finds have a lower sum of RMSE than those of the data sheet (mean over searches)",
+    )
+    measured = []
+    for box, flight, part, column, sheet, which in SHEETS:
+        paths = folder / f"searches-{part}.csv", folder / sheet
+        if not all(path.is_file() for path in paths):
+            continue
+        table, own = (read_table(path) for path in paths)
+        values = table.loc[table["algorithm"] == "ipo", column].to_numpy()
+        base = own.loc[(own["row"] == "data-sheet") & (own["set"] == which), "sum"].sum()
+        conditions = {"box": box, "flight": flight}
+        measured.append((f"{SHORT[box]}, {flight}", conditions, values, np.full(len(values), base)))
+    return judged({claim: None}, measured)
+
+
+def verdicts(found: Mapping[Reading, pd.DataFrame]) -> pd.DataFrame:
+    """Claim 1, IPO against each of the five: the mean of its fitness is lower by what the paper's Table 2 prints."""
+    printed = printed_means()
+    parts = []
+    for rival in SIX[1:]:
+        claim = f"1-{rival}", f"IPO finds a lower sum of RMSE than {rival.upper()} (mean over searches)"
+        measured = []
+        for reading, table in found.items():
+            own, other = (table.loc[table["algorithm"] == a, "best"].to_numpy() for a in ("ipo", rival))
+            measured.append((reading.name, dict(reading.conditions), own, other))
+        parts.append((claim, 100.0 * (1.0 - printed["ipo"] / printed[rival]), measured))
+    stated = {claim: percent for claim, percent, _ in parts}
+    return judged(stated, *(measured for *_, measured in parts))
+
+
+Measured = Sequence[tuple[str, dict[str, str], Any, Any]]
+"""Reading, its conditions, values of what is claimed to be lower, and of the other."""
+
+
+def judged(stated: Mapping[tuple[str, str], float | None], *measured: Measured) -> pd.DataFrame:
+    """A row per claim ((id, text) to the stated per cent) and reading; Holm over the claims of a reading."""
+    import pandas as pd
+
+    from testbed.scoring.claims import ClaimConfig, ReadingConfig
+    from testbed.scoring.readings import standing
+    from testbed.scoring.verdicts import check_claims
+
+    rows: list[dict[str, Any]] = []
+    for k, (reading, *_) in enumerate(measured[0]):
+        claims, values = [], {}
+        for (number, text), rows_of_claim in zip(stated, measured, strict=True):
+            own, than = f"{number} own", f"{number} than"
+            values |= {own: rows_of_claim[k][2], than: rows_of_claim[k][3]}
+            more = {"id": number, "text": text, "paper_improvement_pct": stated[number, text]}
+            claims.append(ClaimConfig(better=own, than=than, metric="fitness", **more))  # type: ignore[arg-type]
+        for row in check_claims(claims, lambda name, *_, values=values: values[name], seed=0):  # type: ignore[misc]
+            told = {"claim": row["id"], "text": row["text"], "origin": "paper", "reading": reading}
+            told |= {"stated_pct": row["paper_pct"], "effect_pct": row["measured_pct"], "runs": row["n"]}
+            rows.append(told | {key: row[key] for key in ("ci_low", "ci_high", "p_value", "p_holm", "verdict")})
+    columns = ["claim", "text", "origin", "reading", "stated_pct", "effect_pct", "runs", "ci_low", "ci_high", "p_value"]
+    out = pd.DataFrame(rows, columns=[*columns, "p_holm", "verdict"])
+    configs = [ReadingConfig(name=name, leaves_open="-", conditions=told) for name, told, *_ in measured[0]]
+    classes = {
+        claim: standing(configs, dict(zip(part["reading"], part["verdict"], strict=True))).word
+        for claim, part in out.groupby("claim")
+    }
+    return out.assign(**{"class": out["claim"].map(classes)})
+
+
+def printed_rows() -> list[Any]:
+    """What the scenario quotes of the paper's tables."""
+    from testbed.scenario import load_scenario
+    from testbed.tuning.config import tune_config
+
+    return tune_config(load_scenario("ipo-2022")).paper
+
+
+def printed_means() -> dict[str, float]:
+    """The paper's mean fitness of each algorithm."""
+    return next(row.values for row in printed_rows() if (row.quantity, row.statistic) == ("fitness", "mean"))
+
+
+def make_printed(place: Place) -> None:
+    """``printed.csv``: of each algorithm the printed mean fitness beside the sum of the printed means of its six attitude RMSE.
+
+    The fitness is a sum in which these six are terms, so its mean cannot be less than the sum of theirs: ``verdicts-printed.csv``.
+    """
+    import pandas as pd
+
+    fitness = printed_means()
+    angles = [row.values for row in printed_rows() if row.quantity.endswith("_deg") and row.statistic == "mean"]
+    rows = []
+    for algorithm in SIX:
+        total = sum(values[algorithm] for values in angles)
+        entry = {"algorithm": algorithm, "fitness_mean": fitness[algorithm], "attitude_rmse_sum_deg": total}
+        rows.append(entry | {"terms": len(angles), "times": total / fitness[algorithm]})
+    table = pd.DataFrame(rows)
+    write_csv(place.target / "printed.csv", table)
+    lower = 100.0 * (1.0 - table["fitness_mean"] / table["attitude_rmse_sum_deg"])
+    own = table.iloc[0]
+    claim = {
+        "claim": "1-printed",
+        "text": f"IPO's fitness, a sum that has six attitude RMSE among its terms, is {own['fitness_mean']:g} in the mean; the same"
+        f" Table 2 has {own['attitude_rmse_sum_deg']:.1f} for the sum of these terms' means",
+        "origin": "paper",
+        "reading": "as printed",
+        "stated_pct": float("nan"),
+        "effect_pct": lower[0],
+        "ci_low": lower[0],
+        "ci_high": lower[0],
+        "runs": 1,
+        "verdict": "not tested",
+        "class": "source inconsistent",
+    }
+    write_csv(place.target / "verdicts-printed.csv", pd.DataFrame([claim]))
