@@ -81,9 +81,9 @@ def _has_open(played: Played, table: Table) -> bool:
 
 
 def _legend() -> str:
-    return f"""A place is one more than the number of rows that are significantly better (paired t tests of the logarithms of the
-errors over the seeds, 5 % after Holm for all pairs of a track); rows with the same place are tied (=). Errors are geometric means over
-the seeds with 95 % intervals; a lost run counts with the error at which a run is lost. **Bold** wins: the best place among rows
+    return f"""Errors are geometric means over the seeds with 95 % intervals; a lost run counts with the error at which a run is lost.
+Places follow the errors, and a row shares the place of the one above it (=) unless it is significantly worse than one of
+that place: paired t tests of the logarithms, 5 % after Holm for all pairs of a track. **Bold** wins: the best place among rows
 that are honest. {MARKS[OVER]} over-confident and {MARKS[UNDER]} over-cautious: NEES over its degrees of freedom lies above {HONEST[1]} or
 below {HONEST[0]} with 99 % confidence; {MARKS[SILENT]} tells no sigmas. None of these three can win."""
 
