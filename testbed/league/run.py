@@ -58,6 +58,8 @@ def league(wanted: Wanted, out: Path) -> list[Path]:
         ]
         if not cells:
             raise InputError("the league has nothing to do: no row is of the class of these tracks")
+        for track in tracks:
+            pipeline.fly(track.scenario)  # once, so that all workers find the flight
         with Folder.open(out, KIND) as folder:
             _complete(folder, cells, wanted.jobs, Path(scratch))
             played = tables.Played(
@@ -87,12 +89,7 @@ def _tracks(wanted: Wanted, scratch: Path) -> list[Track]:
     names = chosen_tracks(wanted.tracks, wanted.data is not None)
     recording = None if wanted.data is None else drive_data.prepared(wanted.data, scratch / "drive")
     seeds = wanted.quick or wanted.development
-    found = []
-    for name in names:
-        track = load_track(name, seeds, recording if name in RECORDED else None)
-        pipeline.fly(track.scenario)  # once, so that all workers find the flight
-        found.append(track)
-    return found
+    return [load_track(name, seeds, recording if name in RECORDED else None) for name in names]
 
 
 def _complete(folder: Folder, cells: Sequence[Cell], jobs: int, scratch: Path) -> None:
