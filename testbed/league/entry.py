@@ -32,8 +32,10 @@ FAST_US = 20.0
 SEEDS = {"fast": 100, "slow": 10}
 """Of a row: a hundred halve the interval of 25 and are a night's work for nobody; ten of a slow row cost as much as 100 of a
 fast one that is ten times as fast."""
-QUICK_SEEDS = 3
-"""The fewest from which a spread and a test can be had with two degrees of freedom."""
+QUICK_SEEDS = {"fast": 3, "slow": 2}
+"""The fewest from which a spread can be had, and one more where it costs little."""
+TIMEOUT_S = 300.0
+"""3 ms per sample of the longest log: so far from what a row needs that no busy machine decides whether it answers."""
 
 
 class PluginTable(Table):
@@ -94,7 +96,7 @@ class EntryTable(Table):
     """fast: below 20 µs per IMU sample, and 100 seeds; slow: 10 seeds."""
     needs: list[str] = []
     """Programs, and modules as python:NAME, without which the row is left out."""
-    timeout_s: float = Field(default=60.0, gt=0.0, le=3600.0)
+    timeout_s: float = Field(default=TIMEOUT_S, gt=0.0, le=3600.0)
     """Longest time for one log."""
     notes: str = ""
     """Remark below the table."""
@@ -131,10 +133,9 @@ class Entry:
         """The name of its row."""
         return self.table.name
 
-    @property
-    def seeds(self) -> int:
-        """How many runs of each track it has in a full table. Declared, not measured, so that no clock decides a byte."""
-        return SEEDS[self.table.speed]
+    def seeds(self, quick: bool) -> int:
+        """How many runs of each track it has. By what it declares, not by what is measured, so that no clock decides a byte."""
+        return (QUICK_SEEDS if quick else SEEDS)[self.table.speed]
 
     def estimator(self) -> tuple[str, dict[str, Any]] | None:
         """Name and parameters of the estimator that a child makes; None of a program."""

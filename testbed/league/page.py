@@ -51,11 +51,7 @@ def headline(played: Played) -> str:
     )
     return (
         f"{len(played.entries)} rows on {len(played.tracks)} tracks, testbed {testbed.__version__}. {seeds} seeds, {each}"
-        + (
-            ": three seeds tell that a row runs and roughly where it stands, and separate little."
-            if played.quick
-            else "."
-        )
+        + ("; so few tell that a row runs and roughly where it stands, and separate little." if played.quick else ".")
     )
 
 

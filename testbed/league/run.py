@@ -15,7 +15,7 @@ from testbed.base.child_processes import share
 from testbed.base.errors import InputError, TestbedError, nearest, tell_user
 from testbed.league import drive_data, tables
 from testbed.league.cells import Cell, cells_of, work
-from testbed.league.entry import QUICK_SEEDS, Entry, read_entry, shipped_entries, unique
+from testbed.league.entry import Entry, read_entry, shipped_entries, unique
 from testbed.league.launch import build
 from testbed.league.suite import RECORDED, Track, chosen_tracks, load_track
 from testbed.montecarlo.folders import Folder
@@ -54,7 +54,7 @@ def league(wanted: Wanted, out: Path) -> list[Path]:
             for track in tracks
             for entry in entries
             if entry.table.filters == track.table.filters
-            for cell in cells_of(track, entry, QUICK_SEEDS if wanted.quick else entry.seeds)
+            for cell in cells_of(track, entry, entry.seeds(wanted.quick))
         ]
         if not cells:
             raise InputError("the league has nothing to do: no row is of the class of these tracks")
