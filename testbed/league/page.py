@@ -44,11 +44,8 @@ def pages(played: Played, made: Sequence[Table], times: Times) -> dict[str, byte
 def headline(played: Played) -> str:
     """What was run, in a sentence."""
     seeds = "Development" if played.development else "Test"
-    each = (
-        f"{QUICK_SEEDS} of each row"
-        if played.quick
-        else f"{SEEDS['fast']} of a fast row and {SEEDS['slow']} of a slow one"
-    )
+    count = QUICK_SEEDS if played.quick else SEEDS
+    each = f"{count['fast']} of a fast row and {count['slow']} of a slow one"
     return (
         f"{len(played.entries)} rows on {len(played.tracks)} tracks, testbed {testbed.__version__}. {seeds} seeds, {each}"
         + ("; so few tell that a row runs and roughly where it stands, and separate little." if played.quick else ".")

@@ -99,7 +99,7 @@ def _complete(folder: Folder, cells: Sequence[Cell], jobs: int, scratch: Path) -
         tell_user(f"league: {len(cells) - len(due)} of {len(cells)} cells are there already")
     if not due:
         return
-    folder.claim([name for cell in due for name in (cell.name, cell.timings) if name not in folder.files])
+    folder.claim([name for cell in due for name in (cell.name, cell.timings)])
     built = {}
     for entry in {cell.entry.name: cell.entry for cell in due}.values():
         if (made := build(entry, scratch / "built")) is not None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from league.tracks import KNOWN, entry, known, program, table, use
 
+from testbed.base.checksums import file_digest
 from testbed.data.records import NAVIGATION_STATES, NavSolution
 from testbed.league import cells, child, launch
 from testbed.league.entry import read_entry
@@ -148,6 +149,8 @@ def test_what_is_stored_is_taken_and_what_changed_is_computed_again(tmp_path, mo
     told.write_text(told.read_text().replace("4.0", "5.0"))
     league(Wanted(folders), out)
     assert done == [["b"]] and table(out)["b"]["error"] == pytest.approx(5.0, rel=1e-4)
+    listed = json.loads((out / "manifest.json").read_text())["files"]
+    assert listed and all(listed[name] == file_digest(out / name) for name in listed)
     cell = out / "cells" / "roll" / "a-0.json"
     cell.write_text(cell.read_text().replace("2.99", "1.99").replace("3.0", "1.0"))
     league(Wanted(folders), out)
