@@ -13,14 +13,14 @@ import numpy as np
 import testbed
 from testbed.base.figure_style import COLOURS, STYLE, logarithmic
 from testbed.league.entry import FAST_US, QUICK_SEEDS, SEEDS
-from testbed.league.ranking import HONEST, OVER, SILENT, UNDER, Standing
+from testbed.league.ranking import HONEST, LOST, OVER, SILENT, UNDER, Standing
 from testbed.league.suite import REFERENCE, SUITE, Track
 from testbed.scoring.quantities import metric_label, unit
 
 if TYPE_CHECKING:
     from testbed.league.tables import Played, Table
 
-MARKS = {OVER: "▲", UNDER: "▽", SILENT: "○", "": ""}
+MARKS = {OVER: "▲", UNDER: "▽", SILENT: "○", LOST: "✕", "": ""}
 FIGURE = "league.png"
 Times = Mapping[str, Mapping[str, float]]
 
@@ -78,20 +78,25 @@ def _legend() -> str:
 Places follow the errors, and a row shares the place of the one above it (=) unless it is significantly worse than one of
 that place: paired t tests of the logarithms, 5 % after Holm for all pairs of a track. **Bold** wins: the best place among rows
 that are honest. {MARKS[OVER]} over-confident and {MARKS[UNDER]} over-cautious: NEES over its degrees of freedom lies above {HONEST[1]} or
-below {HONEST[0]} with 99 % confidence; {MARKS[SILENT]} tells no sigmas. None of these three can win."""
+below {HONEST[0]} with 99 % confidence; {MARKS[SILENT]} tells no sigmas; {MARKS[LOST]} finished no run. None of these can win."""
 
 
 def _overview(played: Played, table: Table) -> str:
-    """Places of every row on every track, and the share of runs that it lost."""
+    """Place and error of every row on every track, and the share of runs that it lost."""
     tracks = played.of_class(table.filters)
-    head = ["row", "division", "mean place", *(track.name for track in tracks), "lost"]
+    units = [f"{track.name}, {unit(track.table.metric)}" for track in tracks]
+    head = ["row", "division", "mean place", "over least", *units, "lost"]
     divisions = {entry.name: entry.table.division for entry in played.entries}
     body = []
     for name in table.order:
         places = [table.place(name, track.name) for track in tracks]
         lost, runs = sum(p.lost for p in places), sum(p.runs for p in places)
-        cells = [_place(place, table.tracks[track.name]) for place, track in zip(places, tracks, strict=True)]
-        body.append([name, divisions[name], f"{table.mean_rank(name):.1f}", *cells, _share(lost, runs)])
+        cells = [
+            f"{_place(place, table.tracks[track.name])} ({place.error:.2g})"
+            for place, track in zip(places, tracks, strict=True)
+        ]
+        mean, ratio = table.overall(name)
+        body.append([name, divisions[name], f"{mean:.1f}", f"{ratio:.3g}", *cells, _share(lost, runs)])
     return _grid(head, body, text=2)
 
 

@@ -31,7 +31,7 @@ HONEST = (0.7, 1.4)
 """NEES over its degrees of freedom of a filter on raw units: sigmas that are right within 18 %."""
 NEES_LEVEL = 0.99
 
-OVER, UNDER, SILENT, FAIR = "over-confident", "over-cautious", "no sigmas", ""
+OVER, UNDER, SILENT, LOST, FAIR = "over-confident", "over-cautious", "no sigmas", "no run finished", ""
 
 
 @dataclass
@@ -76,10 +76,10 @@ def table(track: Track, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> list
             place = []
         place.append(standing)
         standing.rank = number if len(place) == 1 else place[0].rank
-    honest = [s.rank for s in standings.values() if s.mark == FAIR]
-    for standing in standings.values():
+    honest = [s.rank for s in ordered if s.mark == FAIR]
+    for standing in ordered:
         standing.wins = standing.mark == FAIR and standing.rank == min(honest)
-    return sorted(standings.values(), key=lambda s: (s.rank, s.error, s.entry))
+    return ordered
 
 
 def _significant(logs: Mapping[str, Array]) -> set[tuple[str, str]]:
@@ -120,7 +120,7 @@ def honesty(runs: Sequence[Mapping[str, Any]]) -> tuple[dict[str, float], str]:
         low, high = _interval(values, NEES_LEVEL)
         over, under = over or low > HONEST[1], under or high < HONEST[0]
     if not told:
-        return {}, SILENT
+        return {}, SILENT if any(run["error"] is not None for run in runs) else LOST
     return means, OVER if over else UNDER if under else FAIR
 
 
@@ -149,7 +149,13 @@ def _common_mean(a: Array, b: Array) -> float:
     return float((a[:n] - b[:n]).mean())
 
 
-def mean_rank(tables: Mapping[str, Sequence[Standing]], entry: str) -> float:
-    """Mean of the places of a row over tracks."""
-    places = [s.rank for standings in tables.values() for s in standings if s.entry == entry]
-    return float(np.mean(places)) if places else math.nan
+def overall(tracks: Mapping[str, Sequence[Standing]], entry: str) -> tuple[float, float]:
+    """Of a row its mean place over tracks, and the geometric mean of its errors over the least of each track."""
+    found = [
+        (s.rank, math.log(s.error / standings[0].error))
+        for standings in tracks.values()
+        for s in standings
+        if s.entry == entry
+    ]
+    places, ratios = np.array(found).T
+    return float(places.mean()), float(np.exp(ratios.mean()))

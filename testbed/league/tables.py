@@ -23,6 +23,7 @@ from testbed.montecarlo.folders import Folder
 
 DIVISIONS = ("closed", "open")
 CLASSES = ("position", "attitude")
+OVERALL = ("entry", "mean_rank", "error_over_least")
 Stored = Sequence[tuple[Cell, dict[str, Any], dict[str, Any]]]
 
 
@@ -48,7 +49,7 @@ class Played:
 
 @dataclass(frozen=True)
 class Table:
-    """A division's table of a class: the standings of each track, and the rows in order of their mean place."""
+    """A division's table of a class: the standings of each track, and the rows in order of their mean place, and of their errors."""
 
     division: str
     filters: str
@@ -59,9 +60,9 @@ class Table:
         """A row's standing on a track."""
         return next(s for s in self.tracks[track] if s.entry == entry)
 
-    def mean_rank(self, entry: str) -> float:
-        """Of a row over the tracks."""
-        return ranking.mean_rank(self.tracks, entry)
+    def overall(self, entry: str) -> tuple[float, float]:
+        """Mean place of a row, and its mean error over the least."""
+        return ranking.overall(self.tracks, entry)
 
 
 def write(folder: Folder, played: Played, stored: Stored) -> list[Path]:
@@ -108,7 +109,7 @@ def _table(played: Played, division: str, filters: str, runs: Mapping[tuple[str,
     if not tracks or not rows:
         return None
     standings = {t.name: ranking.table(t, {e.name: runs[t.name, e.name] for e in rows}) for t in tracks}
-    names = sorted((e.name for e in rows), key=lambda name: (ranking.mean_rank(standings, name), name))
+    names = sorted((e.name for e in rows), key=lambda name: (*ranking.overall(standings, name), name))
     return Table(division, filters, standings, names)
 
 
@@ -127,7 +128,7 @@ def as_data(played: Played, made: Sequence[Table]) -> dict[str, Any]:
             {
                 "division": table.division,
                 "class": table.filters,
-                "rows": [{"entry": name, "mean_rank": table.mean_rank(name)} for name in table.order],
+                "rows": [dict(zip(OVERALL, (name, *table.overall(name)), strict=True)) for name in table.order],
                 "tracks": {track: [asdict(s) for s in standings] for track, standings in table.tracks.items()},
             }
             for table in made
