@@ -66,6 +66,7 @@ def test_every_metric_estimator_part_and_sensor_is_on_a_page(pages):
     from testbed.sensors import list_sensors
 
     pyproject = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    pyproject = pyproject.split('[project.entry-points."testbed.estimators"]')[1].split("\n[")[0]
     shipped = re.findall(r'^([\w-]+) = "(?:estimators|testbed)\.', pyproject, re.M)
     assert len(shipped) > 20
     wanted = {

@@ -10,7 +10,6 @@ fix for all fixes (with `measurement_noise` of that fix `indirect-kf` ends the w
 
 from __future__ import annotations
 
-import struct
 import sys
 import tempfile
 from pathlib import Path
@@ -18,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from testbed import pipeline
-from testbed.data.records import Array
 from testbed.data.registry import make_estimator
+from testbed.league import drive_data
 from testbed.scenario import load_scenario
 
 SCENARIO = """
@@ -59,31 +58,11 @@ name = "direct-ukf"
 [[estimators]]
 name = "pyins"
 """
-COLUMNS = "time_s,accel_x_g,accel_y_g,accel_z_g,gyro_x_dps,gyro_y_dps,gyro_z_dps"
-TAG_HEADER = 60
-"""Bytes before the logger's tick (uint32), GPS time (uint32 s, float64 fraction) and pairs of tick and byte offset."""
-
-
-def imu_rows(raw: bytes, tags: bytes) -> Array:
-    """(N,7) GPS seconds and the six readings: a line fitted to the pairs ties the logger's milliseconds to GPS time."""
-    second, fraction = struct.unpack_from("<Id", tags, TAG_HEADER + 4)
-    pairs = np.frombuffer(tags[TAG_HEADER + 16 : len(tags) // 8 * 8 + 4], dtype="<u4")
-    pairs = pairs[: len(pairs) // 2 * 2].reshape(-1, 2).astype(float)
-    lines = raw.splitlines()
-    ends = np.cumsum([len(line) + 2 for line in lines])  # the logger ended its lines with two characters
-    whole = np.array([line.count(b",") == 6 for line in lines])
-    values = np.array([[float(v) for v in line.split(b",")] for line, good in zip(lines, whole, strict=True) if good])
-    k = np.clip(np.searchsorted(ends[whole], pairs[:, 1]), 0, len(values) - 1)
-    ticks = values[:, 6] - values[k[0], 6]
-    t = second + fraction + np.polyval(np.polyfit(ticks[k], pairs[:, 0], 1), ticks) / 1e3
-    return np.column_stack([t, values[:, :6]])[np.concatenate([[True], np.diff(t) > 0.0])]
 
 
 def prepared(source: Path, place: Path) -> Path:
     """A folder as the bench reads it, with the scenario in it."""
-    rows = imu_rows((source / "imu_1934.csv").read_bytes(), (source / "imu_1934.csv.tag").read_bytes())
-    np.savetxt(place / "imu.csv", rows, delimiter=",", header=COLUMNS, comments="", fmt=["%.6f"] + ["%.9g"] * 6)
-    (place / "gnss.pos").write_bytes((source / "gnss_1934_sf.pos").read_bytes())
+    drive_data.prepared(source, place)
     (place / "drive.toml").write_text(SCENARIO)
     return place / "drive.toml"
 

@@ -6,6 +6,7 @@ A copy starts in milliseconds where a fresh interpreter needs two seconds of imp
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
 import warnings
@@ -59,6 +60,11 @@ def share(tasks: Sequence[Callable[[], object]], processes: int) -> None:
             copy.start()
     try:
         take(0)
+    except KeyboardInterrupt:
+        for copy in copies:  # that it reached them too is not said
+            if copy.pid is not None:
+                os.kill(copy.pid, signal.SIGINT)
+        raise
     finally:
         for copy in copies:
             copy.join()

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
 
 from testbed.base.errors import InputError, closest, nearest, shown
 
@@ -167,14 +168,19 @@ def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
         following: list[Any] = []
         for kind in current:
             if isinstance(kind, type) and issubclass(kind, BaseModel):
-                if part in kind.model_fields:
-                    following += unwrap(kind.model_fields[str(part)].annotation)
+                if (field := _keys(kind).get(str(part))) is not None:
+                    following += unwrap(field.annotation)
                 else:
                     following.append(kind)  # the tag of a union, already among the candidates
         tagged = [k for k in current if _is_tagged(k, part)]
         current = tagged or following or current
     models = [kind for kind in current if isinstance(kind, type) and issubclass(kind, BaseModel)]
-    return [name for kind in models for name in kind.model_fields]
+    return [name for kind in models for name in _keys(kind)]
+
+
+def _keys(kind: type[BaseModel]) -> dict[str, FieldInfo]:
+    """The fields of a model by the keys that a file has them under."""
+    return {field.alias or name: field for name, field in kind.model_fields.items()}
 
 
 def _is_tagged(kind: Any, part: int | str) -> bool:

@@ -16,6 +16,7 @@ from typing import Annotated
 import typer
 
 from testbed.cli import completion
+from testbed.cli.league import league_command
 from testbed.cli.options import (
     SCENARIO,
     OutOption,
@@ -459,3 +460,4 @@ def new_command(
 
 
 app.command("sensitivity")(sensitivity_command)
+app.command("league")(league_command)

@@ -42,8 +42,6 @@ def write_logs(
 ) -> dict[str, int]:
     """Sense ``runs`` runs of a scenario into an empty folder; number of samples of each sensor, of all runs together."""
     from testbed import pipeline
-    from testbed.formats import export_log
-    from testbed.formats.table import write_frame
 
     counts: dict[str, int] = {}
     varies = pipeline.flight_varies(scenario)
@@ -54,9 +52,7 @@ def write_logs(
         if varies and run:
             trajectory = pipeline.fly(scenario, run)
         log, _ = pipeline.sense(scenario, trajectory, run=run)
-        place = folder / run_name(run)
-        export_log(log, place, "csv")
-        write_frame(initial_table(log.initial), place / "initial.csv")
+        write_log(log, folder / run_name(run))
         for kind in ("imu", *log.aiding):
             counts[kind] = counts.get(kind, 0) + len(log.imu.t if kind == "imu" else log.aiding[kind].t)
     if progress is not None:
@@ -65,6 +61,15 @@ def write_logs(
     manifest = {"kind": KIND, "scenario": scenario.name, "runs": runs, "sensed": sensed_by(scenario)}
     (folder / MANIFEST).write_bytes(sealed_json(manifest))
     return counts
+
+
+def write_log(log: SensorLog, folder: Path) -> None:
+    """One run's folder: the tables of the log, ``log.json`` and ``initial.csv``."""
+    from testbed.formats import export_log
+    from testbed.formats.table import write_frame
+
+    export_log(log, folder, "csv")
+    write_frame(initial_table(log.initial), folder / "initial.csv")
 
 
 def run_name(run: int) -> str:
@@ -207,11 +212,11 @@ class External:
         if path is None:
             raise InputError(f"{stem}.csv: no answer to run {log.run}")
         solution = read_solution(path)
-        _check_extent(solution, log, path)
+        check_extent(solution, log, path)
         return solution
 
 
-def _check_extent(solution: NavSolution, log: SensorLog, path: Path) -> None:
+def check_extent(solution: NavSolution, log: SensorLog, path: Path) -> None:
     """Raise InputError where an answer is shorter or longer than its log."""
     from testbed.scoring.metrics import coverage
 

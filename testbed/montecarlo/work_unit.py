@@ -8,21 +8,17 @@ to the disk.
 from __future__ import annotations
 
 import hashlib
-import sysconfig
 import time
-import traceback
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba.core import event
 
 from testbed import pipeline
-from testbed.base.errors import InputError, TestbedError
-from testbed.base.time_limit import TimeLimitError, time_limit
+from testbed.base.errors import InputError
+from testbed.base.guarded import reason_of, timed
+from testbed.base.time_limit import TimeLimitError
 from testbed.data.records import Array, NavSolution, SensorErrors, SensorLog, Trajectory
 from testbed.data.registry import load_plugin, make_estimator
 from testbed.montecarlo import first_run as details
@@ -34,9 +30,6 @@ from testbed.scoring.quantities import AXES
 
 ENVELOPE_POINTS = 600
 """Largest number of times in an error envelope; the spacing is a whole number of seconds."""
-
-FOREIGN = (str(Path(__file__).parents[1]), *(sysconfig.get_paths()[kind] for kind in ("stdlib", "purelib", "platlib")))
-"""Folders of code that is no estimator's: an error that comes up there has its cause further out."""
 
 BLOCK = 8
 """Most runs of a unit: estimators with ``run_many`` filter so many side by side."""
@@ -147,7 +140,7 @@ class Bench:
                 sensed.append(self._sense(run))
                 sensed[-1].result.skipped |= (skip or {}).get(run, {})
             except Exception as error:
-                lost_runs.append(lost(self.setup, run, f"no data: {_reason(error)}"))
+                lost_runs.append(lost(self.setup, run, f"no data: {reason_of(error)}"))
         # Every other unit goes backwards: two workers that find nothing compiled share the kernels out between them.
         order = scenario.estimators if runs[0] // len(runs) % 2 == 0 else scenario.estimators[::-1]
         beside = [each for each in sensed if self._may_go_beside_others(each.log)]
@@ -201,7 +194,7 @@ class Bench:
                 continue
             try:
                 limit = self._announce(entry, [each.result.run for each in part], heartbeat)
-                solutions, seconds = self._timed(many, [each.log for each in part], limit)
+                solutions, seconds = timed(many, [each.log for each in part], limit)
             except (KeyboardInterrupt, MemoryError):
                 raise
             except BaseException as error:
@@ -222,17 +215,6 @@ class Bench:
             heartbeat(runs, entry.row, limit)
         self._warm.add(entry.name)
         return limit
-
-    @staticmethod
-    def _timed(work: Callable[[Any], Any], data: Any, limit: float | None) -> tuple[Any, float]:
-        """What ``work`` makes of ``data``, and its seconds but for those in which kernels are compiled or loaded."""
-        guard: AbstractContextManager[Any] = time_limit(limit) if limit else nullcontext()
-        compiling: list[float] = []
-        with guard, np.errstate(all="ignore"), event.install_timer("numba:compiler_lock", compiling.append):
-            start = time.perf_counter()
-            done = work(data)
-            seconds = time.perf_counter() - start
-        return done, seconds - sum(compiling)
 
     def _take(
         self,
@@ -263,7 +245,7 @@ class Bench:
             estimator = make_estimator(entry.name, **entry.params)
             if not getattr(estimator, "timed", True):
                 samples = 0  # and so none of the tables of times has it
-            solution, seconds = self._timed(estimator.run, log, limit)
+            solution, seconds = timed(estimator.run, log, limit)
             if not isinstance(solution, NavSolution):
                 raise InputError(f"run(log) returned {type(solution).__name__}, not a NavSolution")
         except TimeLimitError:
@@ -273,7 +255,7 @@ class Bench:
         except BaseException as error:
             if _is_interrupt(error):
                 raise KeyboardInterrupt from error
-            reason = _reason(error)
+            reason = reason_of(error)
             return Outcome(entry.row, f"failed: {reason}", reason, time.perf_counter() - start, samples), None
         return Outcome(entry.row, "ok", "", seconds, samples), solution
 
@@ -285,7 +267,7 @@ class Bench:
         try:
             judged = judge(solution, sensed.trajectory, sensed.log, sensed.errors, sensed.windows, limit)
         except Exception as error:
-            reason = f"its solution cannot be scored: {_reason(error)}"
+            reason = f"its solution cannot be scored: {reason_of(error)}"
             return Outcome(row, f"failed: {reason}", reason, outcome.seconds, outcome.samples), None
         series = judged.series
         if judged.lost:
@@ -327,17 +309,6 @@ def _is_interrupt(error: BaseException | None) -> bool:
             return True
         error = error.__cause__ or error.__context__
     return False
-
-
-def _reason(error: BaseException) -> str:
-    """Type, message and place of an error in one line: the innermost place in an estimator; a user's mistake says its own."""
-    text = f"{type(error).__name__}: {error}".strip().splitlines()[0][:300]
-    frames = traceback.extract_tb(error.__traceback__)
-    if not frames or isinstance(error, TestbedError):
-        return text
-    own = [frame for frame in frames if not frame.filename.startswith(FOREIGN)]
-    place = own[-1] if own else frames[-1]
-    return f"{text} ({Path(place.filename).name}:{place.lineno})"
 
 
 def _degrees_hint(solution: NavSolution) -> str:
