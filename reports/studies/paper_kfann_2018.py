@@ -12,7 +12,13 @@ PAPER = Paper(
     title="KFANN 2018: networks that keep a Kalman filter running through a GPS outage",
     jobs=(
         readings(
-            "readings", minutes=7, first=30, cap=50, figures=("monte_carlo",), of="as stated", title="Trajectory 1"
+            "readings",
+            minutes=7,
+            first=30,
+            cap=50,
+            figures=("monte_carlo", "innovations_kfann-nn3"),
+            of="as stated",
+            title="Trajectory 1",
         ),
         readings("trajectory-2", minutes=2.5, first=30, cap=50, setting=Setting("trajectory-2"), title="Trajectory 2"),
         readings("trajectory-3", minutes=2.5, first=30, cap=50, setting=Setting("trajectory-3"), title="Trajectory 3"),

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from report_studies import study
-from test_narx_aiding import synthetic_drifts
+from test_narx_networks import synthetic_drifts
 
 from estimators.learning.narx_networks import DriftNetworks, Structure
 from estimators.learning.networks.levenberg_marquardt import Training
