@@ -27,7 +27,7 @@ lint: setup
 	$(BIN)/mypy
 
 bench: $(ORACLES)
-	$(BIN)/python reports/benchmarks.py
+	$(BIN)/python reports/studies/benchmarks.py
 
 # Tables and pages of every paper; ARGS="--resume", ARGS=--long, ARGS=imm-rstekf-2023 (python reports/make.py --help).
 reports: setup

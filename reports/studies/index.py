@@ -36,7 +36,7 @@ def page(papers: list, folder: Path) -> str:
     for paper in papers:
         if (path := folder / paper.name / "claims.csv").is_file():
             lines.append(row(paper, path))
-    parts = ["# Papers", "\n".join(lines), LEGEND]
+    parts = ["# Papers", *(["\n".join(lines), LEGEND] if len(lines) > 2 else [])]
     together = ROOT / "findings.md"
     if together.is_file():
         parts.append(together.read_text().strip())

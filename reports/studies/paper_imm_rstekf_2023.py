@@ -24,7 +24,7 @@ COMPARED = ("KF", "UKF", "IMM-EKF", "IMM-RSTEKF")
 def fading(name: str, gnss: dict[str, float], error: str):
     """Trace and ceiling, one thing changed per row."""
     return runs(
-        *(name, 2.0, ABLATION_RUNS),
+        *(name, 1.5, ABLATION_RUNS),
         setting=Setting("fading", gnss),
         metrics=METRICS,
         claims=False,
@@ -39,17 +39,16 @@ PAPER = Paper(
     source="Amirkabir J. Mech. Eng. 54(12), 2023, doi 10.22060/mej.2023.21380.7441",
     jobs=(
         readings(
-            *("readings", 12.0),
-            cap=60,
+            *("readings", 14.0),
             figures=("monte_carlo",),
             of="correlated, scale factor",
             title="Under every reading",
-            note="From 30 runs on, until every interval is narrower than 5 points, 60 at most. The figure is of the reading *correlated, scale factor*.",
+            note="From 30 runs on, until every interval is narrower than 5 points, 200 at most. The figure is of the reading *correlated, scale factor*.",
         ),
         fading("fading", {}, "white"),
         fading("fading-correlated", CORRELATED, "correlated"),
         runs(
-            *("flights", 3.0, ABLATION_RUNS),
+            *("flights", 2.5, ABLATION_RUNS),
             setting=Setting(overrides=VARIED | CORRELATED, estimators=COMPARED),
             title="Another flight in every run",
             note="Path, bank, climb and speed drawn anew in every run; GPS error correlated, no scale-factor error.",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "reports"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "reports" / "studies"))
 
 import benchmark_page as page
 import benchmark_rows as rows

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 Data = dict[str, Any]
-NOT_MEASURED = "not measured: `python reports/benchmarks.py --only {}`"
+NOT_MEASURED = "not measured: `python reports/studies/benchmarks.py --only {}`"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:

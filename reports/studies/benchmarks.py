@@ -22,8 +22,8 @@ from typing import Any
 
 import benchmark_jobs as jobs
 
-HERE = Path(__file__).resolve().parent
-DATA = HERE / "benchmarks"
+REPORTS = Path(__file__).resolve().parents[1]
+DATA = REPORTS / "benchmarks"
 PACKAGES = (
     *("numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow", "matplotlib", "jsbsim", "torch"),
     *("python-ins", "ahrs", "filterpy", "vqf", "inslib", "sidereon", "scikit-learn"),
@@ -40,7 +40,7 @@ def measure_paths() -> dict[str, Any]:
         command = [sys.executable, "-m", "pytest", "tests/benchmarks", *options, f"--benchmark-json={file}"]
         # one thread: the bare matrix products are compared with loops that have one
         with thread_environment():
-            subprocess.run(command, cwd=HERE.parent, check=True)
+            subprocess.run(command, cwd=REPORTS.parent, check=True)
         found = json.loads(file.read_text(encoding="utf-8"))["benchmarks"]
     return {
         entry["name"]: {
@@ -120,7 +120,7 @@ def main() -> None:
         measure(section)
     import benchmark_page
 
-    print(f"page: {benchmark_page.render(DATA, HERE / 'benchmarks.md')}")
+    print(f"page: {benchmark_page.render(DATA, REPORTS / 'benchmarks.md')}")
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ def render(folder: Path, page: Path) -> Path:
     return page
 
 
-INTRODUCTION = """Made by `make bench` (`python reports/benchmarks.py`; with `--long` also the jobs of many minutes). What was
+INTRODUCTION = """Made by `make bench` (`python reports/studies/benchmarks.py`; with `--long` also the jobs of many minutes). What was
 measured lies in `reports/benchmarks/*.json`; `--render` makes the page from it again. A ratio "x arithmetic" says how many
 times as long the path takes as the arithmetic that it cannot do without, run bare in compiled loops of
 `tests/benchmarks/arithmetic.py`; a ratio "x peer" how many times as long the peer takes as the path. Both were timed in the

@@ -1,6 +1,6 @@
 """Whole jobs, each measured in a process of its own: wall time and peak of the resident memory, stage by stage.
 
-``python reports/benchmark_jobs.py NAME ARGUMENTS`` is one such process: it does the job and prints a line of JSON. The
+``python reports/studies/benchmark_jobs.py NAME ARGUMENTS`` is one such process: it does the job and prints a line of JSON. The
 calls are made by `benchmarks`. Seconds, MiB.
 """
 
@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 STATES = (3, 6, 9, 12, 15, 18, 21, 24, 30, 36, 45, 60)
 TINY = """[scenario]
 name = "tiny"
