@@ -25,8 +25,8 @@ VARIANT_RUNS = 4
 METRICS = ("rmse_roll_deg", "rmse_pitch_deg")
 ALLAN_S, ALLAN_SEED, SETTLED_S = 3 * 3600.0, 5, 600.0
 COLOURS = {"IMU": "#000000", "KF": "#0072B2", "adaptive KF": "#009E73", "LSTM": "#D55E00"}
-PHASES = {"cruise": (120.0, 350.0), "loiter": (700.0, 1120.0)}
-"""The scenario's windows of these names, s."""
+PHASES = ("cruise", "loiter")
+"""Windows of the scenario, as the paper plots them."""
 TRIAL_PHASES = {"cruise": (120.0, 350.0), "loiter": (400.0, 590.0)}
 TRIAL_ALLAN_S = 3600.0
 """A trial's flight of ten minutes ends before the loiter; its rest must hold clusters of 1000 s."""
@@ -36,12 +36,17 @@ def load(place: Place, variant: str | None = None, profile: str | None = None, *
     """The scenario in a variant; a trial's in the profile ``smoke``."""
     from testbed.scenario import load_scenario
 
-    return load_scenario(SCENARIO, profile="smoke" if place.trial else profile, variant=variant, overrides=overrides)
+    if place.trial:  # its flight ends before the windows of claims and tables
+        profile, overrides = "smoke", overrides | {"claims": [], "tables": []}
+    return load_scenario(SCENARIO, profile=profile, variant=variant, overrides=overrides)
 
 
 def phases_of(place: Place) -> dict[str, tuple[float, float]]:
-    """Start and end of cruise and loiter, s."""
-    return TRIAL_PHASES if place.trial else PHASES
+    """Start and end of `PHASES`, s."""
+    if place.trial:
+        return TRIAL_PHASES
+    windows = {window.name: (window.start, window.end) for window in load(place).windows}
+    return {name: windows[name] for name in PHASES}
 
 
 def rest_s(place: Place) -> float:

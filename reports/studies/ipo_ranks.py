@@ -31,13 +31,18 @@ class Reading:
     conditions: Mapping[str, str]
     parts: Mapping[str, str]
 
+    def table_of(self, algorithm: str) -> str:
+        """The file with its searches."""
+        part = self.parts.get(algorithm, f"{self.parts['']}-{group(algorithm)}")
+        return f"searches-{part}.csv"
+
     def rows(self, folder: Path) -> pd.DataFrame | None:
         """The searches of the six, or None where some are not made."""
         import pandas as pd
 
         found = []
         for algorithm in SIX:
-            path = folder / f"searches-{self.parts.get(algorithm, self.parts.get('', '') + '-' + group(algorithm))}.csv"
+            path = folder / self.table_of(algorithm)
             if not path.is_file():
                 return None
             table = read_table(path)

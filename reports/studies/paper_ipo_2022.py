@@ -32,7 +32,7 @@ def searches(name: str, variant: str | None, **settings: Any) -> list[Job]:
 
 def functions(place: Place) -> None:
     """``functions.csv``: every algorithm on four functions whose minimum is known."""
-    from testbed.tuning.functions import write_functions
+    from testbed.tuning.report import write_functions
 
     write_functions(place.target, **({"seeds": 2, "iterations": 4} if place.trial else {}))
 

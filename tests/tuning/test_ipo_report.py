@@ -1,0 +1,110 @@
+"""What the page of IPO 2022 is made from: one row per search, claims by reading, and the source's table against itself."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from small_tuning import scenario
+
+from testbed.tuning import tune
+from testbed.tuning.study import Study
+
+STUDIES = Path(__file__).resolve().parents[2] / "reports" / "studies"
+
+
+@pytest.fixture(scope="module")
+def report():
+    sys.path.insert(0, str(STUDIES))
+    try:
+        yield {name: importlib.import_module(name) for name in ("jobs", "ipo_searches", "ipo_ranks", "paper_ipo_2022")}
+    finally:
+        sys.path.remove(str(STUDIES))
+
+
+def place(report, folder):
+    return report["jobs"].Place("ipo-2022", folder / "work", folder, folder / "pages")
+
+
+def write_searches(folder, name, values, iterations=100):
+    """Tables as the jobs of a box leave them: algorithm to the best value of each seed; both units err alike."""
+    for job, algorithms in {**{a: [a] for a in ("ipo", "mipo", "pso", "ga")}, "sipo-iipo": ["sipo", "iipo"]}.items():
+        rows = [
+            {"algorithm": a, "iterations": iterations, "seed": k, "best": v, "train": v, "test": 2.0 * v}
+            | {"ADIS16405:rmse_roll_deg": v, "ADIS16488:rmse_roll_deg": v}
+            for a in algorithms
+            for k, v in enumerate(values[a], 1)
+        ]
+        pd.DataFrame(rows).to_csv(folder / f"searches-{name}-{job}.csv", index=False)
+
+
+def test_a_row_per_search(report, tmp_path):
+    """It tells what the study's own tables tell, and how many of its coordinates lie on a wall."""
+    made = scenario(algorithms=["pso", "ga"], seeds=[2, 1], iterations=[10], innovation_search="none")
+    study = Study(tune.tune(made, tmp_path / "s", jobs=1))
+    rows = report["ipo_searches"].rows_of(study).set_index(["algorithm", "seed"])
+    assert list(rows.index) == [("ga", 1), ("ga", 2), ("pso", 1), ("pso", 2)]
+    evaluations = pd.read_parquet(tmp_path / "s/evaluations/pso-0010-seed2.parquet")
+    row = rows.loc["pso", 2]
+    assert row["best"] == row["best_10"] == pytest.approx(evaluations["objective"].min(), rel=1e-9)
+    best = evaluations.loc[evaluations["objective"].idxmin()].drop(["objective", "seconds"])
+    assert row["walls"] == (best.abs() == 3.0).sum()
+    held = study.heldout.set_index("row").loc["pso-0010-seed2"]
+    assert (row["train"], row["test"], row["ci_low"]) == (held["train"], held["test"], held["ci_low"])
+    assert not [name for name in rows.columns if "second" in name]
+
+
+def test_claims_hang_on_the_box(report, tmp_path):
+    """IPO at 1 and all others at 2 in one box, the other way round in the other: lower by half as printed for none, so by reading."""
+    rng, ranks = np.random.default_rng(0), report["ipo_ranks"]
+
+    def values(ipo, others):
+        return {a: (ipo if a == "ipo" else others) * (1.0 + 0.01 * rng.standard_normal(10)) for a in ranks.SIX}
+
+    with pytest.raises(SystemExit, match="no reading has the searches of all six"):
+        ranks.make(place(report, tmp_path))
+    write_searches(tmp_path, "box-100", values(1.0, 4.0))
+    write_searches(tmp_path, "log-100", values(4.0, 2.0))
+    sheet = [{"row": "data-sheet", "set": which, "case": c, "sum": 1.5} for which in ("train", "test") for c in "ab"]
+    pd.DataFrame(sheet).to_csv(tmp_path / "data-sheet.csv", index=False)
+    ranks.make(place(report, tmp_path))
+    table = pd.read_csv(tmp_path / ranks.FITNESS)
+    assert set(table["reading"]) == {"0 to 1, 100 iterations", "log, 100 iterations"}
+    found = table.set_index(["claim", "reading"])
+    first = found.loc["1-pso", "0 to 1, 100 iterations"]
+    assert first["verdict"] == "reproduced" and first["effect_pct"] == pytest.approx(75.0, abs=1.0)
+    assert first["stated_pct"] == pytest.approx(100.0 * (1.0 - 8.784 / 17.18), rel=1e-5)
+    assert found.loc["1-pso", "log, 100 iterations"]["verdict"] == "reversed"
+    assert set(table.loc[table["claim"] == "1-pso", "class"]) == {"depends on box"}
+    assert found.loc["1-sipo", "0 to 1, 100 iterations"]["verdict"] == "direction reproduced", "81 % are stated"
+    places = pd.read_csv(tmp_path / ranks.PLACES).set_index(["reading", "part", "algorithm"])
+    assert places.loc[("0 to 1, 100 iterations", "fitness, mean", "ipo"), "place_high"] == 1.0
+    assert places.loc[("log, 100 iterations", "fitness, mean", "ipo"), "place_low"] == 6.0
+    own = pd.read_csv(tmp_path / ranks.SHEET).set_index("reading")
+    assert own.loc["0 to 1, the flight searched", "verdict"] == "reproduced", "1 against 3"
+    assert own.loc["log, unseen flights", "verdict"] == "reversed", "8 against 3"
+
+
+def test_table_2_against_itself(report, tmp_path):
+    """IPO: 5.48 + 4.46 + 32.9 + 1.64 + 2.85 + 16.2 = 63.53 beside a mean fitness of 8.784."""
+    report["ipo_ranks"].make_printed(place(report, tmp_path))
+    table = pd.read_csv(tmp_path / "printed.csv").set_index("algorithm")
+    assert table.loc["ipo", "attitude_rmse_sum_deg"] == pytest.approx(63.53)
+    assert (table["times"] > 3.0).all() and (table["terms"] == 6).all()
+    (claim,) = pd.read_csv(tmp_path / "verdicts-printed.csv").to_dict("records")
+    assert claim["class"] == "source inconsistent"
+
+
+def test_every_reading_has_its_jobs(report):
+    """What a reading names is a job of the page, and every search is one that can be resumed by itself."""
+    paper = report["paper_ipo_2022"].PAPER
+    tables = {name for job in paper.jobs for name in job.tables}
+    for reading in report["ipo_ranks"].READINGS:
+        for algorithm in report["ipo_ranks"].SIX:
+            assert reading.table_of(algorithm) in tables
+    assert {f"searches-{part}.csv" for _, _, part, *_ in report["ipo_ranks"].SHEETS} <= tables
+    assert all(job.long for job in paper.jobs if job.name.startswith(("box", "log", "navego")))
