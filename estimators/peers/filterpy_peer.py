@@ -18,6 +18,7 @@ from estimators.aiding.gnss import require_gnss
 from estimators.blocks.imu import NoiseModel, noise_model
 from estimators.core.strapdown import integrate
 from estimators.peers.loose_fixes import fix_covariance, initial_std
+from estimators.peers.quaternions import conjugates, of_rotations, products, to_rotations
 from testbed.base.errors import InputError, MissingExtra
 from testbed.data.records import STATE_NAMES, NavSolution, SensorLog
 from testbed.physics.earth import metres_per_radian, position_difference
@@ -87,7 +88,7 @@ def _filter(std: Array) -> Any:
     except ImportError:
         raise MissingExtra("estimator 'filterpy-ukf' needs the package filterpy: install the extra 'peers'") from None
 
-    class Ukf(UnscentedKalmanFilter):  # type: ignore[misc]
+    class Ukf(UnscentedKalmanFilter):
         def compute_process_sigmas(self, dt: float, fx: Any = None, **arguments: Any) -> None:
             self.sigmas_f[:] = self.fx(self.points_fn.sigma_points(self.x, self.P), **arguments)
 
@@ -117,34 +118,18 @@ def _moved(solution: Solution, error: Array) -> Solution:
     """The solution with errors (...,15) added; arrays of the same leading shape."""
     north, east = metres_per_radian(solution.place[0], solution.place[2])
     place = solution.place + error[..., :3] / [north, east, -1.0]
-    q = _product(_quaternions(error[..., 6:9]), solution.q_nb)
+    q = products(of_rotations(error[..., 6:9]), solution.q_nb)
     biases = solution.accel_bias + error[..., 9:12], solution.gyro_bias + error[..., 12:]
     return Solution(solution.t, place, solution.v_n + error[..., 3:6], q, *biases)
 
 
 def _apart(a: Solution, b: Solution) -> Array:
     """The errors (...,15) that make ``a`` of one solution ``b``."""
-    turn = _product(a.q_nb, b.q_nb * [1.0, -1.0, -1.0, -1.0])
-    sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, turn[..., :1])
-    rotation = turn[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
+    rotation = to_rotations(products(a.q_nb, conjugates(b.q_nb)))
     north, east = metres_per_radian(b.place[0], b.place[2])
     place = (a.place - b.place) * [north, east, -1.0]
     biases = a.accel_bias - b.accel_bias, a.gyro_bias - b.gyro_bias
     return np.concatenate([place, a.v_n - b.v_n, rotation, *biases], axis=-1)
-
-
-def _quaternions(rotation: Array) -> Array:
-    """(...,4) of rotation vectors (...,3)."""
-    angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(0.5 * angle), 0.5 * np.sinc(angle / (2.0 * np.pi)) * rotation], axis=-1)
-
-
-def _product(p: Array, q: Array) -> Array:
-    """Hamilton products (...,4)."""
-    vector = p[..., :1] * q[..., 1:] + q[..., :1] * p[..., 1:] + np.cross(p[..., 1:], q[..., 1:])
-    scalar = p[..., :1] * q[..., :1] - np.sum(p[..., 1:] * q[..., 1:], axis=-1, keepdims=True)
-    return np.concatenate([scalar, vector], axis=-1)
 
 
 def _integrated(solution: Solution, samples: Samples, model: NoiseModel) -> tuple[Solution, tuple[Array, ...]]:
@@ -153,7 +138,8 @@ def _integrated(solution: Solution, samples: Samples, model: NoiseModel) -> tupl
     rows = np.empty((len(t), 3)), np.empty((len(t), 3)), np.empty((len(t), 4))
     start = (*solution.place, solution.v_n, solution.q_nb, solution.accel_bias, solution.gyro_bias)
     integrate(solution.t, t, gyro, accel, *start, *rows)
-    return Solution(float(t[-1]), *(row[-1] for row in rows), *_faded(solution, t[-1], model)), rows
+    place, v_n, q_nb = (row[-1] for row in rows)
+    return Solution(float(t[-1]), place, v_n, q_nb, *_faded(solution, t[-1], model)), rows
 
 
 def _faded(solution: Solution, t: float, model: NoiseModel) -> tuple[Array, Array]:
@@ -181,7 +167,7 @@ def _antenna(error: Array, solution: Solution, lever: Array, rate: Array) -> Arr
     """The filter's hx: position (m) and velocity of the antenna, relative to those of the solution's IMU."""
     if not lever.any():
         return error[:6]
-    q = _product(_quaternions(error[6:9]), solution.q_nb)
+    q = products(of_rotations(error[6:9]), solution.q_nb)
     arm = np.array(quat_rotate(q, lever))
     sweep = np.array(quat_rotate(q, np.cross(rate - solution.gyro_bias - error[12:], lever)))
     return np.concatenate([error[:3] + arm, error[3:6] + sweep])
