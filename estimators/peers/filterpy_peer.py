@@ -9,7 +9,7 @@ biases and initial state are those of `indirect-kf`; needs the optional extra ``
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,8 @@ SAME_TIME = 1e-7
 """Times (s) closer than this are one."""
 
 
-@dataclass
-class Solution:
-    """Where the strapdown solution stands, overwritten: radians, metres, m/s, b to n, and its biases."""
+class Solution(NamedTuple):
+    """Where a strapdown solution stands, or many of one time: radians, metres, m/s, b to n, and its biases."""
 
     t: float
     place: Array
@@ -72,12 +71,15 @@ class FilterpyUkf:
         fix_t = gnss.t - gnss.spec.latency_s
         fix = int(np.searchsorted(fix_t, solution.t - SAME_TIME))
         for end in _ends(log, fix_t[fix:], self.time_step_s):
-            _predict(ukf, solution, log, end, model, keep)
+            try:
+                solution = _predict(ukf, solution, log, end, model, keep)
+            except np.linalg.LinAlgError:  # a covariance without sigma points: the rest stays without numbers
+                break
             if fix < len(fix_t) and abs(fix_t[fix] - end) < SAME_TIME:
                 _update(ukf, solution, log, fix)
                 fix += 1
-            _fold(ukf, solution)
-            keep.filtered(solution, ukf.P, log)
+            solution = _fold(ukf, solution)
+            keep.end(solution, ukf.P, log)
         return keep.solution(log)
 
 
@@ -101,7 +103,7 @@ def _filter(std: Array) -> Any:
 def _start(log: SensorLog) -> Solution:
     s = log.initial
     place = np.array([s.lat, s.lon, s.h])
-    return Solution(s.t, place, s.v_n.copy(), s.q_nb.copy(), s.accel_bias.copy(), s.gyro_bias.copy())
+    return Solution(s.t, place, s.v_n, s.q_nb, s.accel_bias, s.gyro_bias)
 
 
 def _ends(log: SensorLog, fix_t: Array, step: float) -> Array:
@@ -173,12 +175,12 @@ def _antenna(error: Array, solution: Solution, lever: Array, rate: Array) -> Arr
     return np.concatenate([error[:3] + arm, error[3:6] + sweep])
 
 
-def _predict(ukf: Any, solution: Solution, log: SensorLog, end: float, model: NoiseModel, keep: _Keep) -> None:
+def _predict(ukf: Any, solution: Solution, log: SensorLog, end: float, model: NoiseModel, keep: _Keep) -> Solution:
     """Carry filter and solution on to the time ``end``, and keep the solution's rows at the IMU samples on the way."""
     t, dt = log.imu.t, end - solution.t
     if dt < SAME_TIME:
         ukf.sigmas_f = ukf.points_fn.sigma_points(ukf.x, ukf.P)
-        return
+        return solution
     first = int(np.searchsorted(t, solution.t + SAME_TIME))
     last = int(np.searchsorted(t, end - SAME_TIME))  # the sample whose interval holds the end
     part = slice(first, last + 1)
@@ -186,8 +188,8 @@ def _predict(ukf: Any, solution: Solution, log: SensorLog, end: float, model: No
     after, rows = _integrated(solution, samples, model)
     ukf.Q = _process_noise(model.q, dt)
     ukf.predict(dt, solution=solution, after=after, samples=samples, model=model)
-    solution.__dict__.update(after.__dict__)
-    keep.rows(slice(first, last), rows, last - first)
+    keep.before(slice(first, last), rows, after, ukf.P)
+    return after
 
 
 def _process_noise(q: Array, dt: float) -> Array:
@@ -207,41 +209,43 @@ def _update(ukf: Any, solution: Solution, log: SensorLog, fix: int) -> None:
     ukf.update(seen, R=fix_covariance(gnss, fix), solution=solution, lever=lever, rate=log.imu.gyro[k])
 
 
-def _fold(ukf: Any, solution: Solution) -> None:
-    """Put the filter's mean into the solution, and leave it at zero."""
-    solution.__dict__.update(_moved(solution, ukf.x).__dict__)
-    solution.q_nb /= np.linalg.norm(solution.q_nb)
+def _fold(ukf: Any, solution: Solution) -> Solution:
+    """The solution with the filter's mean in it, which is zero afterwards."""
+    moved = _moved(solution, ukf.x)
     ukf.x = np.zeros(15)
     ukf.P = 0.5 * (ukf.P + ukf.P.T)
+    return moved._replace(q_nb=moved.q_nb / np.linalg.norm(moved.q_nb))
 
 
 class _Keep:
-    """What the answer is made of, filled from the start on; sigmas are those of the last prediction or fix."""
+    """What the answer is made of, filled from the start on."""
 
     def __init__(self, n: int) -> None:
-        self.done, self.known = 0, 0
-        self.lla, self.v_n, self.q_nb = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 4))
-        self.biases, self.std = np.empty((n, 6)), np.empty((n, 15))
+        self.done = 0
+        self.lla, self.v_n, self.q_nb, self.biases, self.std = (np.full((n, k), np.nan) for k in (3, 3, 4, 6, 15))
         self.snapshots: list[tuple[float, Array]] = []
 
-    def rows(self, part: slice, rows: Any, count: int) -> None:
-        """Rows of the solution at IMU samples that lie before the end of a prediction."""
+    def before(self, part: slice, rows: tuple[Array, ...], after: Solution, p: Array) -> None:
+        """IMU samples before the end of a prediction: the solution's rows, and biases and sigmas as predicted."""
         for kept, values in zip((self.lla, self.v_n, self.q_nb), rows, strict=True):
-            kept[part] = values[:count]
+            kept[part] = values[: part.stop - part.start]
+        self._sigmas(part, after, p)
         self.done = part.stop
 
-    def filtered(self, solution: Solution, p: Array, log: SensorLog) -> None:
-        """The filter's answer at the end of a prediction, which may be that of an IMU sample."""
-        t = log.imu.t
-        if self.done < len(t) and abs(t[self.done] - solution.t) < SAME_TIME:
-            self.lla[self.done], self.v_n[self.done], self.q_nb[self.done] = solution.place, solution.v_n, solution.q_nb
-            self.done += 1
-            if not self.snapshots or solution.t >= self.snapshots[-1][0] + 1.0 - SAME_TIME:
-                self.snapshots.append((float(t[self.done - 1]), p.copy()))
-        part = slice(self.known, self.done)
+    def end(self, solution: Solution, p: Array, log: SensorLog) -> None:
+        """The filter's answer at the end of a prediction, where that is the time of an IMU sample."""
+        t, k = log.imu.t, self.done
+        if k >= len(t) or abs(t[k] - solution.t) > SAME_TIME:
+            return
+        self.lla[k], self.v_n[k], self.q_nb[k] = solution.place, solution.v_n, solution.q_nb
+        self._sigmas(slice(k, k + 1), solution, p)
+        self.done += 1
+        if not self.snapshots or t[k] >= self.snapshots[-1][0] + 1.0 - SAME_TIME:
+            self.snapshots.append((float(t[k]), p.copy()))
+
+    def _sigmas(self, part: slice, solution: Solution, p: Array) -> None:
         self.biases[part] = np.concatenate([solution.accel_bias, solution.gyro_bias])
         self.std[part] = np.sqrt(np.diag(p))
-        self.known = self.done
 
     def solution(self, log: SensorLog) -> NavSolution:
         """The answer."""
