@@ -27,10 +27,10 @@ SAME_TIME = 1e-7
 """Times (s) closer than this are one."""
 LEAST_DECAY = 1e-9
 """1/s, of a bias that does not return to anything: no log lasts as long as its correlation time of thirty years."""
-LEAST_DRIVE = 1e-24
-"""Of a bias that nothing drives, SI² / s: a thousandth of 1e-9 after a day."""
+LEAST_DENSITY = 1e-24
+"""Of white noise, and of a bias that nothing drives, SI² / s: the package wants numbers above zero, and this makes 3e-10 in a day."""
 SATELLITES = 9
-"""The fixes do not say of how many satellites they are; the package refuses fewer than four and makes no other use of it."""
+"""The fixes do not say of how many satellites they are; the package refuses fewer than four."""
 SIGMAS_S = 0.1
 """How often the covariance is read, s: no sigma changes by more than a few percent in it, but at a fix, after which it is read."""
 SNAPSHOT_S = 1.0
@@ -82,9 +82,9 @@ def _filter(package: Any, log: SensorLog) -> Any:
     turn = _turn(c_en)
     p = turn @ np.diag(initial_std(log) ** 2) @ turn.T
     # Gauss-Markov of drive q and inverse time d: sigma² = q / (2 d)
-    decay, drive = np.maximum(q.decay, LEAST_DECAY), np.maximum(q.q[[6, 9]], LEAST_DRIVE)
+    decay, drive = np.maximum(q.decay, LEAST_DECAY), np.maximum(q.q[[6, 9]], LEAST_DENSITY)
     sigma = np.sqrt(drive / (2.0 * decay))
-    spec = package.ImuSpec(np.sqrt(q.q[0]), np.sqrt(q.q[3]), *sigma, *(1.0 / decay))
+    spec = package.ImuSpec(*np.sqrt(np.maximum(q.q[[0, 3]], LEAST_DENSITY)), *sigma, *(1.0 / decay))
     filtered = package.InsFilterState.from_covariance(state, package.ErrorStateLayout.FIFTEEN, p)
     lever = [float(x) for x in require_gnss(log, SidereonEkf.name).spec.lever_arm_b]
     loose = package.LooseCouplingConfig(lever_arm_body_m=lever)
