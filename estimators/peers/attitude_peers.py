@@ -7,7 +7,6 @@ name). Both answer in a frame with z up and find their attitude by themselves; o
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,7 +14,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from estimators.methods.ahrs_kf import Array, interval, latest_field, prepare
+from estimators.peers import quaternions
 from estimators.peers.ahrs_peers import ENU_TO_NED, about_down, multiply, require, standing
+from estimators.peers.quaternions import conjugates, of_rotations, products
 from testbed.base.errors import MissingExtra
 from testbed.data.records import NavSolution, SensorLog
 
@@ -49,7 +50,7 @@ class Vqf:
 
 @dataclass(frozen=True)
 class Riann:
-    """RIANN as published: attitude without a heading, which stays as the gyros leave it from the initial one on."""
+    """RIANN as published, which learned tilt alone: its heading means nothing, and the gyros carry the initial one on instead."""
 
     name: ClassVar[str] = "riann"
     sensors: ClassVar[tuple[str, ...]] = ("imu",)
@@ -65,7 +66,7 @@ class Riann:
         gyro, accel = log.imu.gyro - log.initial.gyro_bias, log.imu.accel - log.initial.accel_bias
         answer = np.asarray(riann.RIANN(_model(riann)).predict(accel, gyro, 1.0 / interval(log)), dtype=np.float64)
         answer /= np.linalg.norm(answer, axis=1, keepdims=True)
-        return standing(log, _heading_of(log, _to_ned(answer, 0.0)))
+        return standing(log, _with_heading(log, _to_ned(answer, 0.0), gyro))
 
 
 def _model(package: Any) -> str:
@@ -75,13 +76,16 @@ def _model(package: Any) -> str:
 
 def _to_ned(q: Array, declination: float) -> Array:
     """(N,4) into a frame east-north-up of magnetic north, as q_nb."""
-    turn = multiply(about_down(declination), ENU_TO_NED)
-    return np.array([multiply(turn, row) for row in q])
+    return products(multiply(about_down(declination), ENU_TO_NED), q)
 
 
-def _heading_of(log: SensorLog, q: Array) -> Array:
-    """(N,4) turned about down so that the first heading is the initial one."""
-    from testbed.physics.rotations import quat_to_euler
+def _with_heading(log: SensorLog, tilt: Array, gyro: Array) -> Array:
+    """(N,4) attitudes of a tilt (N,4), any heading, and of rates (N,3): each is turned about down to where the gyros lead.
 
-    turn = about_down(quat_to_euler(log.initial.q_nb)[2] - quat_to_euler(q[0])[2])
-    return np.array([multiply(turn, row) for row in q]) if math.isfinite(turn[0]) else q
+    From one sample to the next the gyros turn q into q d. Of all turns about down of the next tilt the nearest to that is the one by
+    the twist of q d (tilt)*, and as q is itself such a turn of its tilt, the twists of neighbours add up.
+    """
+    steps = of_rotations(gyro * np.diff(log.imu.t, prepend=log.imu.t[0] - interval(log))[:, None])
+    before = np.vstack([log.initial.q_nb, tilt[:-1]])
+    apart = products(products(before, steps), conjugates(tilt))
+    return products(quaternions.about_down(np.cumsum(2.0 * np.arctan2(apart[:, 3], apart[:, 0]))), tilt)

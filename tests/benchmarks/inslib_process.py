@@ -22,12 +22,13 @@ def run(log):
     dt = np.diff(log["t"], prepend=log["t_start"]).tolist()
     gyro, accel, lla, v_n = (log[name].tolist() for name in ("gyro", "accel", "lla", "v_n"))
     due = np.searchsorted(log["t"], log["t_fix"] - 1e-6).tolist()
-    imu_variance = [(float(x),) * 3 for x in (log["accel_variance"], log["gyro_variance"])]
+    # the library takes spectral densities, whatever the word "variance" in its interface
+    imu_density = [(float(x),) * 3 for x in (log["accel_density"], log["gyro_density"])]
     fix_variance, velocity_variance = (float(log["fix_variance"]),) * 3, (float(log["velocity_variance"]),) * 3
     fix = 0
     start = time.perf_counter()
     for k, now in enumerate(t_us):
-        filter_.imu(now, dt[k], accel[k], gyro[k], *imu_variance)
+        filter_.imu(now, dt[k], accel[k], gyro[k], *imu_density)
         if fix < len(due) and k == due[fix]:
             filter_.gnss_pos_llh(lla[fix], fix_variance)
             filter_.gnss_vel(v_n[fix], velocity_variance)

@@ -49,8 +49,8 @@ def test_bench_inslib(benchmark, flown, tmp_path) -> None:
         lla=np.column_stack([gnss.lat, gnss.lon, gnss.h]),
         v_n=gnss.v_n,
         rpy=quat_to_euler(log.initial.q_nb),
-        accel_variance=ACCEL_NOISE**2,
-        gyro_variance=GYRO_NOISE**2,
+        accel_density=ACCEL_NOISE**2 * truth.dt,
+        gyro_density=GYRO_NOISE**2 * truth.dt,
         fix_variance=POSITION_SIGMA**2,
         velocity_variance=VELOCITY_SIGMA**2,
     )
