@@ -15,6 +15,7 @@ from testbed.base.figure_style import COLOURS, STYLE, logarithmic
 from testbed.league.entry import FAST_US, QUICK_SEEDS, SEEDS
 from testbed.league.ranking import HONEST, LOST, OVER, SILENT, UNDER, Standing
 from testbed.league.suite import REFERENCE, SUITE, Track
+from testbed.report.html import document
 from testbed.scoring.quantities import metric_label, unit
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ Times = Mapping[str, Mapping[str, float]]
 
 def pages(played: Played, made: Sequence[Table], times: Times) -> dict[str, bytes]:
     """Name -> content of what people read."""
-    from testbed.report.html import document
-
     text = markdown(played, made, times)
     picture = figure(played, made)
     with tempfile.TemporaryDirectory() as place:

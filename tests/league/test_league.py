@@ -180,7 +180,7 @@ def test_the_child_receives_the_log_alone(tmp_path, monkeypatch):
         spy_py=KNOWN + SPY,
     )
     track = load_track("roll")
-    sensed = cells.Sensed.of(track, 7)
+    (sensed,) = cells.sense(track, [7])
     logs = launch.Logs([sensed.log], tmp_path / "work" / "logs", "position", None)
     home = tmp_path / "work" / "spy"
     (answer,) = launch.answers(read_entry(folder), logs, 1, home, None)
