@@ -23,7 +23,7 @@ from testbed import pipeline
 from testbed.base.checksums import DamagedError, read_json, sealed_json
 from testbed.base.files import write_atomic
 from testbed.base.guarded import reason_of
-from testbed.data.records import NavSolution, SensorLog, Trajectory
+from testbed.data.records import NAVIGATION_STATES, NavSolution, SensorLog, Trajectory
 from testbed.data.registry import GROUP
 from testbed.league.child import attitude_only
 from testbed.league.entry import Entry
@@ -95,12 +95,12 @@ def work(cells: Sequence[Cell], out: Path, built: dict[str, Path]) -> None:
     track, first, last = cells[0].track, cells[0].first, max(cell.last for cell in cells)
     scratch = Path(tempfile.mkdtemp(prefix="testbed-league-"))
     try:
-        sensed = [Sensed.of(track, run) for run in range(first, last)]
+        sensed = sense(track, range(first, last))
         recorded = track.scenario.recording is not None
         logs = Logs([each.log for each in sensed], scratch / "logs", track.table.filters, None if recorded else KEEP_HZ)
         for cell in cells:
             count = cell.last - cell.first
-            home = scratch / cell.entry.name
+            home = scratch / "entries" / cell.entry.name
             found = answers(cell.entry, logs, count, home, built.get(cell.entry.name))
             rows = [scored(track, cell.first + k, sensed[k], answer) for k, answer in enumerate(found)]
             shutil.rmtree(home, ignore_errors=True)
@@ -120,12 +120,19 @@ class Sensed:
     log: SensorLog
     windows: list[Window]
 
-    @classmethod
-    def of(cls, track: Track, run: int) -> Sensed:
-        scenario = track.scenario
-        trajectory = pipeline.fly(scenario, run)
+
+def sense(track: Track, runs: Sequence[int]) -> list[Sensed]:
+    """Some runs of a track. Where they fly the same they share one truth."""
+    scenario, varies = track.scenario, pipeline.flight_varies(track.scenario)
+    found = []
+    trajectory = pipeline.fly(scenario, runs[0])
+    for run in runs:
+        if varies and run != runs[0]:
+            trajectory = pipeline.fly(scenario, run)
         log, _ = pipeline.sense(scenario, trajectory, run=run)
-        return cls(pipeline.truth_at_imu(trajectory, log), log, pipeline.windows_of(scenario, trajectory, log))
+        windows = pipeline.windows_of(scenario, trajectory, log)
+        found.append(Sensed(pipeline.truth_at_imu(trajectory, log), log, windows))
+    return found
 
 
 def scored(track: Track, run: int, sensed: Sensed, answer: Answer) -> dict[str, Any]:
@@ -172,8 +179,6 @@ def normalised(solution: NavSolution, judged: Judged) -> dict[str, float]:
 
 def _of_sigmas(solution: NavSolution, series: ErrorSeries, settled: float) -> dict[str, float]:
     """`normalised` of sigmas."""
-    from testbed.data.records import NAVIGATION_STATES
-
     assert solution.std is not None
     rows = np.flatnonzero(series.t > settled)
     values, phi = series.at(rows)

@@ -22,6 +22,7 @@ from pydantic import Field, model_validator
 from testbed.base.errors import InputError, nearest
 from testbed.base.resources import has_package
 from testbed.base.schema import LONGEST_NAME, Table, read_toml, validate
+from testbed.data.registry import list_estimators
 from testbed.league.suite import Class
 
 FILE = "entry.toml"
@@ -238,12 +239,9 @@ def _checked(data: Any, path: Path, place: str) -> Entry:
         for key, command in (("command", table.answers.command), ("build", table.answers.build)):
             if command and command[0].startswith("./") and not table.answers.build:
                 _check_inside(entry, f"answers.{key}", command[0])
-    if table.named is not None:
-        from testbed.data.registry import list_estimators
-
-        if table.named.estimator not in (known := list_estimators()):
-            hint = nearest(table.named.estimator, known)
-            raise InputError(f"{place}: 'entry-point.estimator': no estimator '{table.named.estimator}'; {hint}")
+    if table.named is not None and table.named.estimator not in (known := list_estimators()):
+        hint = nearest(table.named.estimator, known)
+        raise InputError(f"{place}: 'entry-point.estimator': no estimator '{table.named.estimator}'; {hint}")
     return entry
 
 

@@ -15,6 +15,7 @@ from testbed.base.figure_style import COLOURS, STYLE, logarithmic
 from testbed.league.entry import FAST_US, QUICK_SEEDS, SEEDS
 from testbed.league.ranking import HONEST, LOST, OVER, SILENT, UNDER, Standing
 from testbed.league.suite import REFERENCE, SUITE, Track
+from testbed.report.html import document
 from testbed.scoring.quantities import metric_label, unit
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ Times = Mapping[str, Mapping[str, float]]
 
 def pages(played: Played, made: Sequence[Table], times: Times) -> dict[str, bytes]:
     """Name -> content of what people read."""
-    from testbed.report.html import document
-
     text = markdown(played, made, times)
     picture = figure(played, made)
     with tempfile.TemporaryDirectory() as place:
@@ -92,11 +91,11 @@ def _overview(played: Played, table: Table) -> str:
         places = [table.place(name, track.name) for track in tracks]
         lost, runs = sum(p.lost for p in places), sum(p.runs for p in places)
         cells = [
-            f"{_place(place, table.tracks[track.name])} ({place.error:.2g})"
+            f"{_place(place, table.tracks[track.name])} ({_number(place.error, 2)})"
             for place, track in zip(places, tracks, strict=True)
         ]
         mean, ratio = table.overall(name)
-        body.append([name, divisions[name], f"{mean:.1f}", f"{ratio:.3g}", *cells, _share(lost, runs)])
+        body.append([name, divisions[name], f"{mean:.1f}", _number(ratio), *cells, _share(lost, runs)])
     return _grid(head, body, text=2)
 
 
@@ -106,14 +105,14 @@ def _of_track(track: Track, table: Table) -> str:
     name = f"{metric_label(told.metric)}, {unit(told.metric)}"
     body = []
     for s in table.tracks[track.name]:
-        interval = "–" if s.low is None or s.high is None else f"{s.low:.3g} to {s.high:.3g}"
-        nees = [f"{s.nees[group]:.2g}" if group in s.nees else "–" for group in ("position", "velocity", "attitude")]
+        interval = "–" if s.low is None or s.high is None else f"{_number(s.low)} to {_number(s.high)}"
+        nees = [_number(s.nees[group], 2) if group in s.nees else "–" for group in ("position", "velocity", "attitude")]
         mark = f"{MARKS[s.mark]} {s.mark}".strip()
         body.append(
             [
                 s.entry,
                 _place(s, table.tracks[track.name]),
-                f"{s.error:.3g}",
+                _number(s.error),
                 interval,
                 *nees,
                 mark,
@@ -147,6 +146,11 @@ def _place(standing: Standing, among: Sequence[Standing]) -> str:
     tied = any(s.rank == standing.rank for s in among if s is not standing)
     text = f"{standing.rank}{'=' if tied else ''}"
     return f"**{text}**" if standing.wins else f"{text} {MARKS[standing.mark]}".strip()
+
+
+def _number(value: float, digits: int = 3) -> str:
+    """So many digits, and all those before the point."""
+    return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
 
 
 def _share(lost: int, runs: int) -> str:

@@ -97,7 +97,8 @@ def _logarithms(runs: Sequence[Mapping[str, Any]], limit: float) -> Array:
 
 
 def _standing(name: str, runs: Sequence[Mapping[str, Any]], logs: Array) -> Standing:
-    low, high = _interval(logs, LEVEL)
+    same = np.ptp(logs) < SAME  # nothing varied that it depends on
+    low, high = (math.nan, math.nan) if same else _interval(logs, LEVEL)
     nees, mark = honesty(runs)
     lost = [run for run in runs if run["error"] is None]
     ends = [None if math.isnan(end) else float(np.exp(end)) for end in (low, high)]

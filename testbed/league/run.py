@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed import pipeline
+from testbed.base.checksums import read_json
 from testbed.base.child_processes import end_with_parent, share
 from testbed.base.errors import InputError, TestbedError, nearest, tell_user
 from testbed.league import drive_data, tables
@@ -130,8 +131,6 @@ def _work(cells: Sequence[Cell], out: Path, built: dict[str, Path]) -> None:
 
 def _stored(folder: Folder, cells: Sequence[Cell]) -> list[tuple[Cell, dict[str, Any], dict[str, Any]]]:
     """Every cell with its content and its seconds."""
-    from testbed.base.checksums import read_json
-
     found = []
     for cell in cells:
         held = cell.stored(folder.out)

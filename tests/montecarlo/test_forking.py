@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
 import sys
 import threading
+import time
 from functools import partial
 from pathlib import Path
 
@@ -60,3 +63,29 @@ def test_no_copy_is_made_with_a_library_whose_threads_would_not_live_on(monkeypa
     monkeypatch.setattr(threading, "active_count", lambda: 1)
     monkeypatch.setitem(sys.modules, library, os)
     assert not forking.can_fork()
+
+
+WAITING = """
+import sys, time
+from pathlib import Path
+from testbed.base.child_processes import share
+def wait(name):
+    Path(sys.argv[1], name).touch()
+    time.sleep(30.0)
+share([lambda name=name: wait(name) for name in "abcd"], 2)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="copies are made on Linux")
+def test_an_interrupt_of_this_process_ends_its_copies(tmp_path):
+    """A signal to the process alone, as of a job's end: nobody waits for what the copies have begun, half a minute each."""
+    process = subprocess.Popen([sys.executable, "-c", WAITING, str(tmp_path)], stderr=subprocess.DEVNULL)
+    try:
+        while len(list(tmp_path.iterdir())) < 2 and process.poll() is None:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(25.0) != 0
+    finally:
+        process.kill()
+        process.wait()
+    assert len(list(tmp_path.iterdir())) == 2
