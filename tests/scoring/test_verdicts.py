@@ -329,14 +329,15 @@ def test_shipped_claims_say_whose_they_are():
     for name, path in list_scenarios().items():
         for variant in [None, *overlays_of(path)[1]]:
             for claim in load_scenario(name, variant=variant).claims:
-                assert (claim.origin == "own") == (
-                    name in OWN_SCENARIOS or claim.id.startswith("4-n") or claim.id in OWN
-                )
+                assert (claim.origin == "own") == (name in OWN_SCENARIOS or claim.id in OWN)
         assert "paper_improvement_pct = 0.0" not in path.read_text()
         assert tomllib.loads(path.read_text())["scenario"]["name"] == name
 
 
-OWN = ("4-final", "4-on-line", "own-network")
+OWN = (
+    *("4-bias-states", "4-kfann-coasting", "4-t2-kfann-coasting", "4-t3-kfann-coasting"),
+    *("4-nnckf", "4-nnakf", "own-network", "own-attitude"),
+)
 OWN_SCENARIOS = (
     "quickstart",
     "car-drive",
