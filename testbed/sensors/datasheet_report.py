@@ -6,6 +6,7 @@ models must meet: random walks 3 %, bias instability 15 %, rate random walk 20 %
 
 from __future__ import annotations
 
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,7 +82,11 @@ def _markdown(table: pd.DataFrame) -> str:
         verdict = "met" if met else row["note"] or ("" if limit is None else "MISSED")
         cells = [
             *(row["imu"], f"{row['triad']} {row['figure']}", row["unit"], f"{row['data_sheet']:.4g}"),
-            *(f"{row['fitted']:.4g}", f"{row['std']:.2g}", f"{row['difference_pct']:+.2f} %"),
+            *(
+                f"{row['fitted']:.4g}",
+                "" if isnan(row["std"]) else f"{row['std']:.2g}",
+                f"{row['difference_pct']:+.2f} %",
+            ),
             *("" if limit is None else f"{limit:g} %", verdict),
         ]
         lines.append("| " + " | ".join(cells) + " |")

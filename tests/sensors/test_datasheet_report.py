@@ -20,4 +20,5 @@ def test_page_has_a_row_per_figure_and_judges_those_with_a_limit(tmp_path, monke
     assert "| 3 % | met |" in rows["ADIS16405", "gyro ARW"]
     assert "| 3 % | met |" in rows["ADIS16405", "accel VRW"]
     assert "MISSED" not in rows["ADIS16405", "gyro correlation time"]
+    assert "nan" not in page
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ADIS16405.png", "README.md", "allan.csv"]
