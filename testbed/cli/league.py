@@ -16,7 +16,9 @@ def league_command(
     check: Annotated[
         Path | None, typer.Option("--check", metavar="FOLDER", help="Say in a minute whether an entry runs.")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Three development seeds of each row.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Three development seeds of a row, one of a slow row.")
+    ] = False,
     development: Annotated[
         bool, typer.Option("--development", help="All runs, on the public development seeds.")
     ] = False,

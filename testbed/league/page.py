@@ -6,20 +6,18 @@ import io
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 import testbed
 from testbed.base.figure_style import COLOURS, STYLE, logarithmic
 from testbed.league.entry import FAST_US, QUICK_SEEDS, SEEDS
+from testbed.league.played import Played, Table
 from testbed.league.ranking import HONEST, LOST, OVER, SILENT, UNDER, Standing
 from testbed.league.suite import REFERENCE, SUITE, Track
 from testbed.report.html import document
 from testbed.scoring.quantities import metric_label, unit
-
-if TYPE_CHECKING:
-    from testbed.league.tables import Played, Table
 
 MARKS = {OVER: "▲", UNDER: "▽", SILENT: "○", LOST: "✕", "": ""}
 FIGURE = "league.png"

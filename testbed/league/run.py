@@ -19,6 +19,7 @@ from testbed.league import drive_data, tables
 from testbed.league.cells import Cell, cells_of, work
 from testbed.league.entry import Entry, read_entry, shipped_entries, unique
 from testbed.league.launch import build
+from testbed.league.played import Played
 from testbed.league.suite import RECORDED, Track, chosen_tracks, load_track
 from testbed.montecarlo.folders import Folder
 
@@ -64,9 +65,7 @@ def league(wanted: Wanted, out: Path) -> list[Path]:
             pipeline.fly(track.scenario)  # once, so that all workers find the flight
         with Folder.open(out, KIND) as folder:
             _complete(folder, cells, wanted.jobs, Path(scratch))
-            played = tables.Played(
-                wanted.quick, wanted.quick or wanted.development, tuple(tracks), tuple(entries), left_out
-            )
+            played = Played(wanted.quick, wanted.quick or wanted.development, tuple(tracks), tuple(entries), left_out)
             written = tables.write(folder, played, _stored(folder, cells))
             folder.save()
     return written
