@@ -234,6 +234,25 @@ def _shape_apart(room):
     return lambda room: room.data.shape[first:]
 
 
+def _axes(index: Any) -> int:
+    """How many axes an index takes."""
+    return len(index) if isinstance(index, types.BaseTuple) else 1
+
+
+def _place(index: Any, shape: Any) -> Any:
+    """Where the number of an index lies among those of a lane, which lie in order of rows."""
+    raise NotImplementedError("for kernels alone")
+
+
+@overload(_place)
+def _place_in_kernel(index, shape):
+    if _axes(index) == 1:
+        return lambda index, shape: index
+    if _axes(index) == 2:
+        return lambda index, shape: index[0] * shape[1] + index[1]
+    return lambda index, shape: (index[0] * shape[1] + index[1]) * shape[2] + index[2]
+
+
 @overload(operator.getitem)
 def _getitem(table, index):
     if isinstance(table, ApartType):
@@ -242,16 +261,9 @@ def _getitem(table, index):
         return None
     if isinstance(index, types.SliceType):
         return lambda table, index: as_table(table.data[index])
-    count = len(index) if isinstance(index, types.BaseTuple) else 1
-    if count < table.ndim:
+    if _axes(index) < table.ndim:
         return lambda table, index: as_table(table.data[index])
-    if count == 1:
-        return lambda table, index: load(table.data, index)
-    if count == 2:
-        return lambda table, index: load(table.data, index[0] * table.data.shape[1] + index[1])
-    return lambda table, index: load(
-        table.data, (index[0] * table.data.shape[1] + index[1]) * table.data.shape[2] + index[2]
-    )
+    return lambda table, index: load(table.data, _place(index, table.data.shape))
 
 
 @overload(operator.setitem)
@@ -269,16 +281,9 @@ def _setitem(table, index, value):
                 store(part.data, i, as_lanes(value))
 
         return fill
-    count = len(index) if isinstance(index, types.BaseTuple) else 1
-    if count < table.ndim:
+    if _axes(index) < table.ndim:
         return None
-    if count == 1:
-        return lambda table, index, value: store(table.data, index, as_lanes(value))
-    if count == 2:
-        return lambda table, index, value: store(table.data, index[0] * table.data.shape[1] + index[1], as_lanes(value))
-    return lambda table, index, value: store(
-        table.data, (index[0] * table.data.shape[1] + index[1]) * table.data.shape[2] + index[2], as_lanes(value)
-    )
+    return lambda table, index, value: store(table.data, _place(index, table.data.shape), as_lanes(value))
 
 
 def _part_of_apart(room: Any, index: Any) -> Any:
@@ -292,15 +297,6 @@ def _part_of_apart(room: Any, index: Any) -> Any:
 
 def _set_apart(room: Any, index: Any) -> Any:
     """One number of every lane; no more at once."""
-    count = len(index) if isinstance(index, types.BaseTuple) else 1
-    if count < room.ndim:
+    if _axes(index) < room.ndim:
         return None
-    if count == 1:
-        return lambda table, index, value: scatter(table.data, table.first + index, as_lanes(value))
-    if count == 2:
-        return lambda table, index, value: scatter(
-            table.data, table.first + index[0] * table.shape[1] + index[1], as_lanes(value)
-        )
-    return lambda table, index, value: scatter(
-        table.data, table.first + (index[0] * table.shape[1] + index[1]) * table.shape[2] + index[2], as_lanes(value)
-    )
+    return lambda table, index, value: scatter(table.data, table.first + _place(index, table.shape), as_lanes(value))
