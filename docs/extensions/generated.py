@@ -6,12 +6,14 @@ from their classes, sensors from the catalogue, verdicts from the tables in ``re
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from sphinx.application import Sphinx
+
+from extensions.comparisons import league, verdicts
+from extensions.rst import code, first_paragraph, heading, plain, shortened, table
 
 HERE = Path(__file__).resolve().parents[1]
 FOLDER = HERE / "reference" / "generated"
@@ -54,39 +56,8 @@ def pages() -> dict[str, str]:
     made |= {"scenario.rst": scenario_index(), "cli.rst": verbs(), "metrics.rst": metrics()}
     made |= {"estimators.rst": estimators(), "parts.rst": parts(), "sensors.rst": sensors(), "formats.rst": formats()}
     made |= {"manoeuvres.rst": manoeuvres(), "scenarios.rst": scenarios(), "verdicts.rst": verdicts()}
+    made |= {"league.rst": league()}
     return made
-
-
-# Pieces of reStructuredText
-
-
-def heading(text: str, line: str = "=") -> str:
-    return f"{text}\n{line * len(text)}\n\n"
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[object]], widths: str = "") -> str:
-    """A list table; cells are reStructuredText."""
-    out = [".. list-table::", "   :header-rows: 1", *([f"   :widths: {widths}"] if widths else []), ""]
-    for row in (head, *rows):
-        for k, cell in enumerate(row):
-            lines = str(cell).split("\n") if str(cell) else [""]
-            out.append(f"   {'* -' if k == 0 else '  -'} {lines[0]}".rstrip())
-            out += [f"       {line}".rstrip() for line in lines[1:]]
-    return "\n".join(out) + "\n\n"
-
-
-def plain(text: object) -> str:
-    """Text without markup as reStructuredText, double backquotes kept."""
-    pieces = re.split(r"(``[^`]+``)", " ".join(str(text).split()))
-    return "".join(piece if piece.startswith("``") else re.sub(r"([*`_|\\])", r"\\\1", piece) for piece in pieces)
-
-
-def code(text: object) -> str:
-    return f"``{text}``" if str(text) else ""
-
-
-def first_paragraph(text: str | None) -> str:
-    return " ".join((text or "").split("\n\n")[0].split())
 
 
 # Keys of a scenario
@@ -134,15 +105,11 @@ def _key_entry(key: Any, documented: set[str]) -> str:
     again = "   :no-index:\n" if key.path in documented else ""
     documented.add(key.path)
     text = f".. scenariokey:: {key.path}\n{again}\n   {plain(key.meaning)}\n\n"
-    text += f"   *takes:* {plain(key.takes)}{unit}; *default:* {_shortened(key.default)}\n\n"
+    text += f"   *takes:* {plain(key.takes)}{unit}; *default:* {shortened(key.default)}\n\n"
     if not again and (shown := [(name, value) for name, value in examples(key.path) if len(value) < 90]):
         where = "; ".join(f"{code(value)} ({name})" for name, value in shown if "`" not in value)
         text += f"   *in shipped scenarios:* {where}\n\n" if where else ""
     return text
-
-
-def _shortened(value: str) -> str:
-    return code(value) if value[:1] in "[{\"'-0123456789" or value in ("true", "false") else plain(value)
 
 
 def scenario_index() -> str:
@@ -388,42 +355,3 @@ def scenarios() -> str:
                 rows.append((key, str(len(data[key]))))
         text += table(("", ""), rows, "18 82").replace("   :header-rows: 1\n", "").replace("   * -\n     -\n", "")
     return text
-
-
-# Verdicts
-
-
-def verdicts() -> str:
-    """The claims of every paper and what became of them, from the tables of ``reports/``."""
-    import csv
-    import tomllib
-
-    text = heading("Verdicts")
-    text += (
-        "From the tables in ``reports/``, claim by claim: the improvement that the source states, the lowest and the highest that was "
-        "measured here under the readings of what it leaves open, and the class.\n\n"
-    )
-    for path in sorted((HERE.parent / "reports").glob("*/claims.csv")):
-        with open(path, newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        if not rows or "class" not in rows[0]:
-            continue
-        scenario = HERE.parent / "scenarios" / f"{path.parent.name}.toml"
-        head = tomllib.loads(scenario.read_text(encoding="utf-8")).get("scenario", {}) if scenario.is_file() else {}
-        text += heading(path.parent.name, "-") + plain(head.get("title", "")) + "\n\n"
-        shown = [
-            (
-                plain(r["text"]),
-                r["stated_pct"] or "–",
-                f"{_pct(r['lowest_pct'])} to {_pct(r['highest_pct'])}",
-                f"**{r['class']}**",
-                plain(r["where"]),
-            )
-            for r in rows
-        ]
-        text += table(("claim", "stated %", "measured %", "class", "where"), shown, "30 8 14 14 34")
-    return text
-
-
-def _pct(value: str) -> str:
-    return f"{float(value):.1f}" if value else "–"

@@ -3,7 +3,8 @@
 Fed with the same specifications, initial state and fixes as `indirect-kf`; needs the optional extra ``peers``.
 python-ins works in degrees and pandas; everything is converted at this edge. Two things it does not take, and gets in a form
 that it does: it subtracts longitudes without wrapping them, so they count from the start here, and its matrices want even
-sampling, so a gap of the IMU is filled with parts of the interval that bridges it.
+sampling, so a gap of the IMU is filled with parts of the interval that bridges it. Its sigmas of position and velocity are told;
+those of the attitude are of roll, pitch and heading one by one, of which the bench's rotation vector cannot be had.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from estimators.aiding.gnss import MINIMUM_STD, require_gnss
 from estimators.blocks.imu import noise_model
 from testbed.base.errors import InputError, MissingExtra
-from testbed.data.records import NavSolution, SensorLog
+from testbed.data.records import NAVIGATION_STATES, NavSolution, SensorLog
 from testbed.physics.rotations import eulers_to_quats, quats_to_eulers, wrap
 
 if TYPE_CHECKING:
@@ -133,9 +134,8 @@ def _solution(log: SensorLog, result: Any) -> NavSolution:
     euler = np.radians(table[EULER].to_numpy())
     t = table.index.to_numpy()
 
-    def biases(frame: pd.DataFrame, initial: Any) -> Any:
-        last = np.searchsorted(frame.index.to_numpy(), t, side="right") - 1
-        return frame.to_numpy()[last] + initial
+    def latest(frame: pd.DataFrame) -> Any:
+        return frame.to_numpy()[np.searchsorted(frame.index.to_numpy(), t, side="right") - 1]
 
     return NavSolution(
         t,
@@ -144,6 +144,8 @@ def _solution(log: SensorLog, result: Any) -> NavSolution:
         table["alt"].to_numpy(),
         table[VELOCITY].to_numpy(),
         eulers_to_quats(euler),
-        accel_bias=biases(result.accel, log.initial.accel_bias),
-        gyro_bias=biases(result.gyro, log.initial.gyro_bias),
+        accel_bias=latest(result.accel) + log.initial.accel_bias,
+        gyro_bias=latest(result.gyro) + log.initial.gyro_bias,
+        std=latest(result.trajectory_sd)[:, :6],
+        states=NAVIGATION_STATES[:6],
     )

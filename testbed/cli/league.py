@@ -17,7 +17,7 @@ def league_command(
         Path | None, typer.Option("--check", metavar="FOLDER", help="Say in a minute whether an entry runs.")
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Three development seeds of a row, one of a slow row.")
+        bool, typer.Option("--quick", help="Three development seeds of a row, one of a slow row, no very slow row.")
     ] = False,
     development: Annotated[
         bool, typer.Option("--development", help="All runs, on the public development seeds.")

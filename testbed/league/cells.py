@@ -203,19 +203,27 @@ def _digits(value: float) -> float | None:
 
 @cache
 def code_digest() -> str:
-    """Hash of the sources that a result follows from: the bench without what only shows, and the packages of estimators."""
+    """Hash of the sources that a result follows from: the bench without what only shows, and the packages of estimators
+    without the folders of rows, whose files count for them alone."""
     folders = [Path(testbed.__file__).parent]
-    names = {point.module.split(".")[0] for point in entry_points(group=GROUP)} - {"testbed"}
-    for name in sorted(names):
-        spec = find_spec(name)
-        folders += [Path(place) for place in (spec.submodule_search_locations or ())] if spec is not None else []
+    rows = {point.module for point in entry_points(group=GROUP)}
+    for name in sorted({module.split(".")[0] for module in rows} - {"testbed"}):
+        folders += _places(name)
+    of_rows = [place for module in rows for place in _places(module)]
     total = hashlib.sha256()
     for k, folder in enumerate(folders):
         for path in sorted(folder.rglob("*.py")):
             inside = path.relative_to(folder)
-            if "__pycache__" not in inside.parts and (k > 0 or not _only_shows(inside)):
+            counts = not any(place in path.parents for place in of_rows) if k > 0 else not _only_shows(inside)
+            if counts and "__pycache__" not in inside.parts:
                 total.update(inside.as_posix().encode() + b"\0" + path.read_bytes())
     return total.hexdigest()[:16]
+
+
+def _places(package: str) -> list[Path]:
+    """Folders of a package."""
+    spec = find_spec(package)
+    return [] if spec is None else [Path(place) for place in spec.submodule_search_locations or ()]
 
 
 def _only_shows(module: Path) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from testbed.base.errors import InputError
 from testbed.league.cells import KEEP_HZ, scored, sense
-from testbed.league.entry import FAST_US, read_entry, shipped_entries, unique
+from testbed.league.entry import LEAST_US, SEEDS, read_entry, shipped_entries, speed_of, unique
 from testbed.league.launch import Logs, answers, build
 from testbed.league.suite import RECORDED, REFERENCE, TRACKS, load_track, shortened
 
@@ -53,20 +53,25 @@ def check(folder: Path) -> tuple[list[Checked], str]:
                 raise InputError(f"{entry.place}: does not run on {name}: {row['status']}: {row['reason']}")
             told = float(row["error"]), answer.us or 0.0, answer.reference_us or 0.0
             found.append(Checked(name, track.table.metric, *told, bool(row["nees"])))
-    return found, _remark(entry.table.speed, found, REFERENCE[entry.table.filters], entry.how == "files")
+    return found, remark(entry.table.speed, found, REFERENCE[entry.table.filters], entry.how == "files")
 
 
-def _remark(speed: str, found: list[Checked], reference: str, by_files: bool) -> str:
+def remark(speed: str, found: list[Checked], reference: str, by_files: bool) -> str:
     """What the author may want to know: a speed declared wrong, sigmas that are not told."""
     middle = sorted(found, key=lambda each: each.us)[len(found) // 2]
     us, relative = middle.us, middle.us / middle.reference_us
     said = []
     if by_files:
         said.append("its time holds the start of its program, which short logs do not spread")
-    elif speed == "fast" and us > FAST_US and relative > FAST_US:  # a busy machine slows the reference down as well
-        said.append(f"it takes {us:.3g} µs per sample: say speed = 'slow' (10 seeds in place of 100)")
-    elif speed == "slow" and us < 0.5 * FAST_US:
-        said.append(f"it takes {us:.3g} µs per sample: speed = 'fast' would give it 100 seeds in place of 10")
+    else:
+        right = speed_of(us)
+        # a busy machine slows the reference down as well, and near a bound neither is wrong
+        slower = LEAST_US[right] > LEAST_US[speed] and relative > LEAST_US[right]
+        faster = us < 0.5 * LEAST_US[speed]
+        if slower or faster:
+            said.append(
+                f"it takes {us:.3g} µs per sample: say speed = '{right}' ({SEEDS[right]} seeds in place of {SEEDS[speed]})"
+            )
     if not any(each.tells_sigmas for each in found):
         said.append("it tells no sigmas (std or covariance), and so cannot win")
     return "; ".join(said) or f"its time is told in units of {reference}"

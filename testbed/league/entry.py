@@ -28,15 +28,20 @@ from testbed.league.suite import Class
 FILE = "entry.toml"
 GROUP = "testbed.league"
 """Entry points that name packages with rows: a folder with ``entry.toml`` for each, and files of ``[[entries]]``."""
-FAST_US = 20.0
-"""Microseconds per IMU sample from which on a row is slow."""
-SEEDS = {"fast": 100, "slow": 10}
+LEAST_US = {"fast": 0.0, "slow": 20.0, "very slow": 200.0}
+"""Microseconds per IMU sample from which on a row is so slow; a seed of all tracks of a very slow one takes minutes."""
+SEEDS = {"fast": 100, "slow": 10, "very slow": 3}
 """Of a row: a hundred halve the interval of 25 and are a night's work for nobody; ten of a slow row cost as much as 100 of a
-fast one that is ten times as fast."""
-QUICK_SEEDS = {"fast": 3, "slow": 1}
-"""Three are the fewest with two degrees of freedom; one shows that a slow row runs, within the ten minutes."""
+fast one that is ten times as fast; three are the fewest with two degrees of freedom."""
+QUICK_SEEDS = {"fast": 3, "slow": 1, "very slow": 0}
+"""Three for the same reason; one shows that a slow row runs, and a very slow one alone would take most of the ten minutes."""
 TIMEOUT_S = 300.0
 """3 ms per sample of the longest log: so far from what a row needs that no busy machine decides whether it answers."""
+
+
+def speed_of(us: float) -> str:
+    """How slow so many microseconds per IMU sample are."""
+    return [name for name, least in LEAST_US.items() if us >= least][-1]
 
 
 class PluginTable(Table):
@@ -93,8 +98,8 @@ class EntryTable(Table):
     """closed: the given sensors and specification, only the method differs; open: anything that the log allows."""
     filters: Class = Field(alias="class")
     """position or attitude."""
-    speed: Literal["fast", "slow"] = "fast"
-    """fast: below 20 µs per IMU sample, and 100 seeds; slow: 10 seeds."""
+    speed: Literal["fast", "slow", "very slow"] = "fast"
+    """fast: below 20 µs per IMU sample, and 100 seeds; slow: below 200 µs, and 10 seeds; very slow: 3 seeds."""
     needs: list[str] = []
     """Programs, and modules as python:NAME, without which the row is left out."""
     timeout_s: float = Field(default=TIMEOUT_S, gt=0.0, le=3600.0)

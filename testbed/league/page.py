@@ -12,7 +12,7 @@ import numpy as np
 
 import testbed
 from testbed.base.figure_style import COLOURS, STYLE, logarithmic
-from testbed.league.entry import FAST_US, QUICK_SEEDS, SEEDS
+from testbed.league.entry import LEAST_US, QUICK_SEEDS, SEEDS, speed_of
 from testbed.league.played import Played, Table
 from testbed.league.ranking import HONEST, LOST, OVER, SILENT, UNDER, Standing
 from testbed.league.suite import REFERENCE, SUITE, Track
@@ -43,6 +43,8 @@ def headline(played: Played) -> str:
     seeds = "Development" if played.development else "Test"
     count = QUICK_SEEDS if played.quick else SEEDS
     each = f"{count['fast']} of a fast row and {count['slow']} of a slow one"
+    if any(entry.table.speed == "very slow" for entry in played.entries):
+        each += f" ({count['very slow']} of a very slow one)"
     return (
         f"{len(played.entries)} rows on {len(played.tracks)} tracks, testbed {testbed.__version__}. {seeds} seeds, {each}"
         + ("; so few tell that a row runs and roughly where it stands, and separate little." if played.quick else ".")
@@ -169,7 +171,7 @@ def _rows(played: Played) -> str:
         ]
         for e in played.entries
     ]
-    left = "".join(f"\n\nLeft out: {name}, which needs {needs}." for name, needs in played.left_out.items())
+    left = "".join(f"\n\nLeft out: {name}, which {reason}." for name, reason in played.left_out.items())
     head = ["row", "version", "class", "division", "run as", "licence", "source", "notes"]
     return "## Rows\n\n" + _grid(head, [[cell.replace("|", "/") for cell in row] for row in body], text=8) + left
 
@@ -179,7 +181,7 @@ def _times(played: Played, times: Times) -> str:
     body = []
     for entry in sorted(played.entries, key=lambda e: times.get(e.name, {}).get("relative", float("inf"))):
         found = times.get(entry.name)
-        wrong = found is not None and entry.table.speed == "fast" and found["us"] > FAST_US
+        wrong = found is not None and LEAST_US[speed_of(found["us"])] > LEAST_US[entry.table.speed]
         cells = ["–", "–"] if found is None else [f"{found['relative']:.3g}", f"{found['us']:.3g}"]
         body.append([entry.name, *cells, f"{entry.table.speed}{', measured slower' if wrong else ''}"])
     names = " and ".join(f"`{name}` ({filters})" for filters, name in REFERENCE.items())

@@ -72,7 +72,7 @@ def league(wanted: Wanted, out: Path) -> list[Path]:
 
 
 def chosen_rows(wanted: Wanted) -> tuple[list[Entry], dict[str, str]]:
-    """The rows that run here, and of those that do not, what they need. Raises InputError for a name that there is not."""
+    """The rows that run here, and of those that do not, why. Raises InputError for a name that there is not."""
     entries = unique([*shipped_entries(), *(read_entry(folder) for folder in wanted.folders)])
     if wanted.rows is not None:
         known = [entry.name for entry in entries]
@@ -80,9 +80,10 @@ def chosen_rows(wanted: Wanted) -> tuple[list[Entry], dict[str, str]]:
             if name not in known:
                 raise InputError(f"--rows: no row '{name}'; {nearest(name, known)}")
         entries = [entry for entry in entries if entry.name in wanted.rows]
-    left_out = {entry.name: missing for entry in entries if (missing := entry.missing())}
-    for name, missing in left_out.items():
-        tell_user(f"note: {name} is left out: it needs {missing}")
+    left_out = {entry.name: f"needs {missing}" for entry in entries if (missing := entry.missing())}
+    left_out |= {entry.name: "is too slow for --quick" for entry in entries if not entry.seeds(wanted.quick)}
+    for name, reason in left_out.items():
+        tell_user(f"note: {name} is left out: it {reason}")
     return [entry for entry in entries if entry.name not in left_out], left_out
 
 

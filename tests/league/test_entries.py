@@ -4,6 +4,7 @@ import hashlib
 import os
 import shutil
 import tomllib
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,10 @@ from league.tracks import ENTRY, entry
 
 from testbed import pipeline
 from testbed.base.errors import InputError
-from testbed.league import drive_data, suite
+from testbed.league import cells, drive_data, suite
+from testbed.league.check import Checked, remark
 from testbed.league.entry import read_entries, read_entry, shipped_entries, unique
+from testbed.league.run import Wanted, chosen_rows
 from testbed.league.suite import TRACKS, load_track, released_seed, shortened, track_files
 from testbed.scoring.quantities import metric_names
 
@@ -35,7 +38,7 @@ MISTAKES = {
         HEAD.replace('class = "position"', 'class = "both"') + "[eskf]\n",
         "'class': input should be 'position' or 'attitude'",
     ),
-    "speed": (HEAD + 'speed = "quick"\n[eskf]\n', "'speed': input should be 'fast' or 'slow'"),
+    "speed": (HEAD + 'speed = "quick"\n[eskf]\n', "'speed': input should be 'fast', 'slow' or 'very slow'"),
     "number": (HEAD + 'timeout_s = "60"\n[eskf]\n', "'timeout_s': input should be a valid number"),
     "file": (HEAD + '[plugin]\nfile = "absent.py"\n', "'plugin.file': no file absent.py"),
     "outside": (HEAD + '[plugin]\nfile = "../mine.py"\n', "lies outside of the entry's folder"),
@@ -100,6 +103,49 @@ def test_the_digest_follows_the_files(tmp_path):
     (folder / "__pycache__").mkdir()
     (folder / "__pycache__" / "mine.pyc").write_bytes(b"\0")
     assert read_entry(folder).digest == second
+
+
+def test_the_code_of_a_result_is_not_that_of_other_rows(tmp_path, monkeypatch):
+    """A new row in a package of rows makes no other row anew; a filter that changes does."""
+    rows = tmp_path / "peer_filters" / "rows"
+    (rows / "mine").mkdir(parents=True)
+    for folder in (rows, rows.parent):
+        (folder / "__init__.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(cells, "entry_points", lambda group: [EntryPoint("peers", "peer_filters.rows", group)])
+    digest = cells.code_digest.__wrapped__
+    before = digest()
+    (rows / "mine" / "mine.py").write_text("x = 1\n")
+    assert digest() == before
+    (rows.parent / "filter.py").write_text("x = 1\n")
+    assert digest() != before
+
+
+def test_a_very_slow_row_is_left_out_of_a_quick_league(tmp_path, capsys):
+    entry(tmp_path, "mine", 'speed = "very slow"\n[eskf]\n')
+    rows, left_out = chosen_rows(Wanted([tmp_path / "mine"], ["mine", "ins"], quick=True))
+    assert [row.name for row in rows] == ["ins"]
+    assert left_out == {"mine": "is too slow for --quick"}
+    assert "mine is left out: it is too slow for --quick" in capsys.readouterr().err
+    assert chosen_rows(Wanted([tmp_path / "mine"], ["mine"]))[0][0].seeds(quick=False) == 3
+
+
+@pytest.mark.parametrize(
+    ("declared", "us", "reference_us", "said"),
+    [
+        ("fast", 19.0, 1.0, None),
+        ("fast", 21.0, 1.0, "'slow' (10 seeds in place of 100)"),
+        ("fast", 21.0, 5.0, None),  # a busy machine, on which the reference takes long as well
+        ("slow", 250.0, 1.0, "'very slow' (3 seeds in place of 10)"),
+        ("slow", 11.0, 1.0, None),
+        ("slow", 9.0, 1.0, "'fast' (100 seeds in place of 10)"),
+        ("very slow", 90.0, 1.0, "'slow' (10 seeds in place of 3)"),
+    ],
+)
+def test_a_speed_declared_wrong_is_told(declared, us, reference_us, said):
+    told = remark(declared, [Checked("roll", "m", 1.0, us, reference_us, True)], "ins", False)
+    assert ("say speed" in told) == (said is not None)
+    assert said is None or said in told
 
 
 def test_shipped_rows_are_sound():

@@ -105,7 +105,7 @@ def test_rows_that_fail_are_lost_with_their_reason(played):
     assert found["crash"]["error"] == pytest.approx(1000.0) and not found["crash"]["wins"]
     assert "absent" not in found
     data = json.loads((played / "league.json").read_text())
-    assert data["left_out"] == {"absent": "no-such-program, python:no_such_module"}
+    assert data["left_out"] == {"absent": "needs no-such-program, python:no_such_module"}
 
 
 def test_the_filter_of_the_documentation_is_a_row(played):
