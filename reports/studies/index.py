@@ -44,9 +44,10 @@ def page(papers: list, folder: Path) -> str:
 
 
 LEGEND = (
-    "A claim *holds* where it is reproduced under every reading of what its source leaves open, *fails* where under none, *depends on* what tells "
+    "A claim *holds* where it is reproduced under every reading of what its source leaves open that decides it, *fails* where under none, *depends on* what tells "
     "the readings apart; the page of the paper says which value of it decides. *Source inconsistent*: the source states two figures. "
-    "*Open*: the runs do not decide. Claims on computing time stand in each paper's `timings.md`."
+    "*Open*: the runs do not decide. One statement of a paper may be several claims (figures of text and table, against truth and against GPS), so counts do not compare "
+    "papers. Claims on computing time stand in each paper's `timings.md`."
 )
 
 

@@ -75,11 +75,18 @@ def scenario_claims(setting: Setting, paper: str) -> dict[str, tuple[str, Any]]:
 
 
 def told_by_verdict(part: pd.DataFrame) -> tuple[str, str]:
-    """Class, and which readings came to which verdict."""
+    """Class (of the verdicts, whatever the source contradicts), and which readings came to which verdict."""
+    from testbed.scoring.claims import ReadingConfig
+    from testbed.scoring.readings import INCONSISTENT, standing
+
     words = []
     for verdict, rows in part.groupby("verdict", sort=False):
         words.append(f"{verdict}: {', '.join(rows['reading'])}")
-    return part.iloc[0]["class"], "; ".join(words)
+    word = part.iloc[0]["class"]
+    if word == INCONSISTENT:
+        found = dict(zip(part["reading"], part["verdict"], strict=True))
+        word = standing([ReadingConfig(name=name, leaves_open=name) for name in found], found).word
+    return word, "; ".join(words)
 
 
 def class_of(word: str) -> str:

@@ -151,6 +151,9 @@ def test_classes_of_a_study_and_of_a_scenario_stand_in_one_table(scripts, tmp_pa
         }
     ]
     pd.DataFrame(rows).to_csv(tmp_path / "verdicts.csv", index=False)
+    contradicted = own[0] | {"claim": "own-y", "class": "source inconsistent"}
+    own += [contradicted, contradicted | {"reading": "other", "verdict": "reversed"}]
+    own += [contradicted | {"claim": "own-z", "verdict": "direction reproduced"}]
     pd.DataFrame(own).to_csv(tmp_path / "verdicts-more.csv", index=False)
     readings_job = scripts.readings("readings", 1.0)
     jobs = readings_job, scripts.study("more", print, 1.0, ("verdicts-more.csv",))
@@ -162,6 +165,8 @@ def test_classes_of_a_study_and_of_a_scenario_stand_in_one_table(scripts, tmp_pa
         in told["where"]
     )
     assert table.loc["own-x", "text"] == "X" and table.loc["own-x", "where"] == "reproduced: all"
+    tested = {"own-x": "holds", "own-y": "depends on the reading", "own-z": "fails"}
+    assert {claim: table.loc[claim, "as_tested"] for claim in tested} == tested
 
 
 def reported(scripts):
