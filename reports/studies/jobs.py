@@ -119,7 +119,11 @@ class Setting:
         """Digests of the scenario, or of each of its readings, and what is claimed."""
         base = self.load(paper)
         names: list[str | None] = [r.name for r in base.readings] if with_readings else [None]
-        claims = [c.model_dump(mode="json", exclude={"text", "contradiction"}) for c in base.active_claims()]
+        claims = [
+            c.model_dump(mode="json", exclude={"text", "contradiction"})
+            | ({"contradicted": True} if c.contradiction else {})
+            for c in base.active_claims()
+        ]
         conditions = [[r.name, dict(r.conditions)] for r in base.readings] if with_readings else []
         tables = [row.metric for table in base.tables for row in table.rows]
         return [[self.load(paper, name).digest() for name in names], claims, conditions, tables]
