@@ -56,6 +56,8 @@ def row(paper, path: Path) -> str:
     import pages
     from jobs import read_table
 
+    from testbed.scoring.verdicts import NOT_TESTED
+
     claims = read_table(path)
     source = claims[claims["origin"] != "own"]
     cells = []
@@ -66,7 +68,8 @@ def row(paper, path: Path) -> str:
             cells.append(", ".join(told) or "–")
         elif kind == "source inconsistent" and words:
             tested = Counter(source.loc[source["class"] == kind, "as_tested"])
-            cells.append(f"{words.total()} (as tested: {', '.join(f'{n} {word}' for word, n in tested.items())})")
+            told = ", ".join(f"{n} {word}" for word, n in tested.items() if word != NOT_TESTED)
+            cells.append(f"{words.total()} (as tested: {told})" if told else str(words.total()))
         else:
             cells.append(str(words.total() or "–"))
     own = Counter(pages.class_of(word) for word in claims.loc[claims["origin"] == "own", "class"])
