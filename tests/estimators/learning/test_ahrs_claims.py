@@ -115,7 +115,11 @@ def test_the_table_says_which_claims_hold(study):
             and abs(found[key]["measured_pct"]) < 3.0
         )
         assert "14 %" in found[key]["contradiction"]
-    assert found["own-tuned-roll"]["verdict"] == "reversed" and found["own-tuned-roll"]["origin"] == "own"
+    assert found["1-roll/tuned"]["verdict"] == "reversed"
+    told = study.as_verdicts(list(found.values()), {"sgd": ("SGD", {"optimiser": "SGD"})})
+    classes = {row["claim"]: row["class"] for row in told}
+    assert classes["1-roll"] == "depends on KF" and classes["2-loiter-roll"] == "holds"
+    assert [row["reading"] for row in told if row["claim"] == "1-roll"] == ["SGD", "SGD, tuned KF"]
 
 
 def test_the_profile_trains_the_papers_structures_by_the_papers_method(study):
