@@ -106,7 +106,11 @@ def write_report(paper: Paper, folder: Path) -> str:
         parts += ["## Claims", markdown(classes(claims))]
     for job in paper.jobs:
         parts += job_parts(paper, job, folder)
-    budget = "; ".join(f"{job.name} {job.minutes:g}{' (with --long)' if job.long else ''}" for job in paper.jobs)
+    budget = "; ".join(
+        f"{job.name} {job.minutes:g}{' (with --long)' if job.long else ''}"
+        + ("" if all((folder / name).is_file() for name in job.tables) else ", **not made yet**")
+        for job in paper.jobs
+    )
     parts.append(
         f"## How it was made\n\n`python reports/make.py {paper.name}`; minutes on two cores at most: {budget}. Which commit made "
         "which table stands in [made.json](made.json)"
