@@ -199,7 +199,7 @@ def comparison_parts(paper: Paper, job: Job, table: pd.DataFrame) -> list[str]:
     from testbed.scoring.quantities import short_label, unit
 
     parts = []
-    table = table.assign(reading=table["reading"].fillna(""))
+    table = table.assign(reading=table["reading"].astype(object).fillna(""))
     for (reading, window), part in table.groupby(["reading", "window"], sort=False):
         metrics = list(dict.fromkeys(part["metric"]))
         values = part.pivot(index="estimator", columns="metric", values="mean")

@@ -4,7 +4,9 @@ The figure of a row is the geometric mean of its runs' errors: errors of runs sc
 is what the paired t test of the logarithms tests. A run that is lost counts with the error at which a run is lost (`limit_of`):
 it is at least as wrong. Pairs of one table are corrected for their number (Holm 1979). Places follow the order of the figures, and
 a row shares the place of the one above it unless it is significantly worse than one of that place. NEES over its degrees of freedom:
-Bar-Shalom, Li & Kirubarajan, 5.4; the mean over runs of the time averages, with a 99 % t interval.
+Bar-Shalom, Li & Kirubarajan, 5.4; the mean over runs of the time averages, with a 99 % t interval. Of a few runs that scatter this
+interval reaches from nothing to anything, so the mean is also held against what chance makes of right sigmas at the very most
+(`chance`).
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import chdtri, stdtrit
 
 from testbed.data.records import Array
 from testbed.league.suite import Track
@@ -109,7 +111,7 @@ def _standing(name: str, runs: Sequence[Mapping[str, Any]], logs: Array) -> Stan
 
 
 def honesty(runs: Sequence[Mapping[str, Any]]) -> tuple[dict[str, float], str]:
-    """Mean normalised NEES of each group, and the mark: one whose interval lies outside of `HONEST` altogether."""
+    """Mean normalised NEES of each group, and the mark: one that lies outside of `HONEST` with its interval, or beyond chance."""
     told = [run["nees"] for run in runs if run.get("nees")]
     means, over, under = {}, False, False
     for group in dict.fromkeys(group for nees in told for group in nees):
@@ -119,10 +121,21 @@ def honesty(runs: Sequence[Mapping[str, Any]]) -> tuple[dict[str, float], str]:
             continue
         means[group] = float(values.mean())
         low, high = _interval(values, NEES_LEVEL)
-        over, under = over or low > HONEST[1], under or high < HONEST[0]
+        least, most = chance(len(values))
+        over = over or low > HONEST[1] or means[group] > most * HONEST[1]
+        under = under or high < HONEST[0] or means[group] < least * HONEST[0]
     if not told:
         return {}, SILENT if any(run["error"] is not None for run in runs) else LOST
     return means, OVER if over else UNDER if under else FAIR
+
+
+def chance(runs: int) -> tuple[float, float]:
+    """Between what the mean of so many runs lies, in 99 of 100 leagues, of a filter whose sigmas are right.
+
+    Each run counts as one draw of one degree of freedom, as if its error never changed: chi-square over its degrees.
+    """
+    tail = 0.5 * (1.0 - NEES_LEVEL)
+    return float(chdtri(runs, 1.0 - tail) / runs), float(chdtri(runs, tail) / runs)
 
 
 def _interval(values: Array, level: float) -> tuple[float, float]:

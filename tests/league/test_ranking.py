@@ -106,6 +106,17 @@ def test_a_mark_needs_proof():
     """NEES of 0.9 to 3.0 scatters about 1.4: nothing is shown; its copy of a hundred runs is over-confident."""
     few = [{"error": 1.0, "reason": "", "nees": {"position": x}} for x in (0.9, 1.2, 3.0)]
     assert ranking.honesty(few)[1] == "" and ranking.honesty(few * 34)[1] == "over-confident"
+    wild = [{"error": 1.0, "nees": {"position": value}} for value in (30.0, 80.0, 240.0)]
+    assert ranking.honesty(wild)[1] == "over-confident", "three runs are enough where no chance makes such a mean"
+    assert ranking.honesty([{"error": 1.0, "nees": {"position": value}} for value in (0.3, 1.0, 5.0)])[1] == ""
+    assert ranking.honesty([{"error": 1.0, "nees": {"position": 0.0001}}])[1] == ""
+    assert (
+        ranking.honesty([{"error": 1.0, "nees": {"position": value}} for value in (0.01, 0.02, 0.0)])[1]
+        == "over-cautious"
+    )
+    for n in (1, 3, 10):
+        least, most = ranking.chance(n)
+        assert stats.chi2.cdf([n * least, n * most], n) == pytest.approx([0.005, 0.995])
     assert ranking.honesty([{"error": 1.0, "nees": {"position": None}}] * 3)[1] == "over-confident", "sigmas of zero"
     assert ranking.honesty([{"error": 1.0, "nees": {"position": 1.0, "attitude": 8.0}}] * 3)[1] == "over-confident"
 
