@@ -75,7 +75,7 @@ def follow(batch: Batch, fix: Fix, span: slice = slice(None), state: Any = None,
 def corrected(e: Tensor, p: Tensor, z: Tensor, r: Tensor, rows: slice = slice(0, 6)) -> tuple[Tensor, Tensor]:
     """The Kalman update of states ``rows`` by their own measurements ``z`` (B,m) with variances ``r`` (B,m)."""
     reach = p[:, rows]
-    gain = torch.linalg.solve(reach[:, :, rows] + torch.diag_embed(r), reach).transpose(1, 2)
+    gain = torch.linalg.solve_ex(reach[:, :, rows] + torch.diag_embed(r), reach)[0].transpose(1, 2)
     e = e + (gain @ (z - e[:, rows])[..., None])[..., 0]
     p = p - gain @ reach
     return e, 0.5 * (p + p.transpose(1, 2))
@@ -87,7 +87,7 @@ def plain(e: Tensor, p: Tensor, z: Tensor, r: Tensor, memory: Any) -> tuple[Tens
 
 
 def loss_of(course: Course) -> Tensor:
-    """Mean negative log likelihood of the true errors of position, velocity and attitude before each fix, less its constant.
+    """(B,) mean over the steps of the negative log likelihood of the true errors of position, velocity and attitude, less its constant.
 
     Normalised by the told sigmas, so that metres and radians may stand in one Cholesky factor. Robust beyond `CEILING`. NaN where a
     covariance is none any more.
@@ -100,33 +100,42 @@ def loss_of(course: Course) -> Tensor:
     square = (white**2).sum(-1)
     square = torch.where(square > CEILING, CEILING * (1.0 + torch.log(square.clamp(min=CEILING) / CEILING)), square)
     spread = torch.log(torch.diagonal(factor, dim1=-2, dim2=-1)).sum(-1) + torch.log(sigma).sum(-1)
-    return (0.5 * square + spread).mean() if not failed.any() else spread.new_tensor(float("nan"))
+    return torch.where(failed == 0, 0.5 * square + spread, torch.nan).mean(0)
 
 
-class GainNetwork(nn.Module):
-    """The network of ``gain_gru.py`` in torch; it starts as the plain filter, P growing by 1e-4 at a fix."""
+class GainNetworks(nn.Module):
+    """Networks of ``gain_gru.py`` in torch, K side by side: what costs on one core is the number of operations, not their size.
 
-    def __init__(self) -> None:
+    Parameters are those of `gain_gru.SHAPES` with the network as first axis. Each starts from its own seed as the plain filter, P
+    growing by 1e-4 at a fix. In a batch the lessons of the first network come first, then those of the second.
+    """
+
+    def __init__(self, seeds: Sequence[int]) -> None:
         super().__init__()
-        self.unit = nn.GRUCell(gain_gru.INPUTS, gain_gru.HIDDEN, dtype=torch.float64)
-        self.out = nn.Linear(gain_gru.HIDDEN, gain_gru.OUTPUTS, dtype=torch.float64)
-        nn.init.zeros_(self.out.weight)
-        nn.init.zeros_(self.out.bias)
+        self.count = len(seeds)
+        drawn: dict[str, list[Tensor]] = {name: [] for name in gain_gru.SHAPES}
+        for seed in seeds:
+            generator = torch.Generator().manual_seed(seed)
+            for name, shape in gain_gru.SHAPES.items():
+                uniform = torch.rand(shape, generator=generator, dtype=torch.float64) * 2.0 - 1.0
+                drawn[name].append(uniform / gain_gru.HIDDEN**0.5 * (0.0 if name.endswith("out") else 1.0))
+        for name, tensors in drawn.items():
+            setattr(self, name, nn.Parameter(torch.stack(tensors)))
         with torch.no_grad():
-            self.out.bias[2] = -6.0
+            self.bias_out[:, 2] = -6.0
 
     def fix(self, e: Tensor, p: Tensor, z: Tensor, r: Tensor, memory: Any) -> tuple[Tensor, Tensor, Any]:
         """The update as the policy makes it: variances and P scaled, then the filter's own."""
         seen = r[:, 0] < UNSEEN
         if memory is None:
-            memory = r.new_zeros(gain_gru.AXES * len(r), gain_gru.HIDDEN)
+            memory = r.new_zeros(self.count, gain_gru.AXES * len(r) // self.count, gain_gru.HIDDEN)
         factor, fading, after = self.judge(z - e[:, :6], torch.diagonal(p, dim1=1, dim2=2)[:, :6] + r, r, memory)
-        after = torch.where(seen.repeat_interleave(gain_gru.AXES)[:, None], after, memory)
+        kept = seen.repeat_interleave(gain_gru.AXES).reshape(self.count, -1, 1)
         fading = torch.where(seen, fading, torch.ones_like(fading))
-        return *corrected(e, p * fading[:, None, None], z, r * factor), after
+        return *corrected(e, p * fading[:, None, None], z, r * factor), torch.where(kept, after, memory)
 
     def judge(self, residual: Tensor, s: Tensor, r: Tensor, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Factors of the variances (B,6), factor of P (B,), and the memory (3 B,12); ``s`` (B,6) is the diagonal of H P H' + R."""
+        """Factors of the variances (K B,6), factor of P (K B,), and the memory (K,3 B,12); ``s`` (K B,6) is the diagonal of H P H' + R."""
         axes = gain_gru.AXES
         u = residual / torch.sqrt(s)
         large, more = torch.log1p(u * u), torch.log(s / r)
@@ -134,25 +143,30 @@ class GainNetwork(nn.Module):
         down = torch.zeros_like(mean)
         down[:, 2] = 1.0
         parts = [part for of in (torch.asinh(u), large, more) for part in (of[:, :axes], of[:, axes:])]
-        x = torch.stack([*parts, mean, down], -1).reshape(-1, gain_gru.INPUTS)
-        memory = self.unit(x, memory)
-        out = self.out(memory).reshape(-1, axes, gain_gru.OUTPUTS)
+        x = torch.stack([*parts, mean, down], -1).reshape(self.count, -1, gain_gru.INPUTS)
+        memory = self.recur(x, memory)
+        out = torch.baddbmm(self.bias_out[:, None], memory, self.weight_out.transpose(1, 2)).reshape(-1, axes, 3)
         scale = torch.clamp(out[..., :2], gain_gru.LOWEST, gain_gru.HIGHEST).exp()
         fading = torch.clamp(out[..., 2].mean(1), gain_gru.FADING_LOWEST, gain_gru.FADING_HIGHEST).exp()
         return torch.cat([scale[..., 0], scale[..., 1]], 1), 1.0 + gain_gru.FADING * fading, memory
 
-    def weights(self) -> dict[str, np.ndarray]:
-        """In single precision, as `gain_gru.SHAPES` has them."""
-        held = [getattr(self.unit, name) for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")]
-        arrays = [tensor.detach().numpy() for tensor in (*held, self.out.weight, self.out.bias)]
-        return {name: array.astype(np.float32) for name, array in zip(gain_gru.SHAPES, arrays, strict=True)}
+    def recur(self, x: Tensor, memory: Tensor) -> Tensor:
+        """`torch.nn.GRUCell` of each network."""
+        read = torch.baddbmm(self.bias_ih[:, None], x, self.weight_ih.transpose(1, 2)).chunk(3, dim=2)
+        held = torch.baddbmm(self.bias_hh[:, None], memory, self.weight_hh.transpose(1, 2)).chunk(3, dim=2)
+        reset, update = torch.sigmoid(read[0] + held[0]), torch.sigmoid(read[1] + held[1])
+        new = torch.tanh(read[2] + reset * held[2])
+        return new + update * (memory - new)
 
-    def take(self, weights: dict[str, np.ndarray]) -> GainNetwork:
-        """Use these weights."""
-        held = [getattr(self.unit, name) for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")]
+    def weights(self) -> dict[str, np.ndarray]:
+        """In single precision, the network as first axis."""
+        return {name: getattr(self, name).detach().numpy().astype(np.float32) for name in gain_gru.SHAPES}
+
+    def take(self, weights: dict[str, np.ndarray]) -> GainNetworks:
+        """Use these weights, which are of as many networks."""
         with torch.no_grad():
-            for tensor, name in zip((*held, self.out.weight, self.out.bias), gain_gru.SHAPES, strict=True):
-                tensor.copy_(torch.as_tensor(weights[name].astype(np.float64)))
+            for name in gain_gru.SHAPES:
+                getattr(self, name).copy_(torch.as_tensor(weights[name].astype(np.float64)))
         return self
 
 

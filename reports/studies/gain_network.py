@@ -8,7 +8,7 @@ development seeds are used. Errors in m; NEES over its degrees of freedom.
 from __future__ import annotations
 
 import hashlib
-import json
+import time
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,11 +70,13 @@ def make_tuned(place: Place) -> None:
 def make_trainings(place: Place) -> None:
     """The file of weights, and ``trainings.csv``: loss on the validation flights by filter, and whether a training failed."""
     import pandas as pd
-    from gain_training import mean_loss, untrained_loss
+    from gain_training import mean_loss, train, untrained_loss
 
     settings, seeds = settings_of(place.trial)
     validation = lessons(VALIDATION, place.trial)
-    trained = trained_networks(place, lessons(TRAINING, place.trial), validation, settings, seeds)
+    batch, started = lessons(TRAINING, place.trial), time.process_time()
+    trained = train(seeds, batch, validation, settings)
+    minutes = (time.process_time() - started) / 60.0
     classical, untrained = tuned(place.target), untrained_loss(validation)
     rows: list[dict[str, Any]] = [
         {"filter": PLAIN, "epoch": 0, "loss": untrained},
@@ -85,36 +87,13 @@ def make_trainings(place: Place) -> None:
         rows.append({"filter": network_row(each.seed)} | told)
     write_weights(weights_file(place.target, place.trial), trained)
     write_csv(place.target / TRAININGS, pd.DataFrame(rows))
-    timed = [{"network": each.seed, "cpu_minutes": each.seconds / 60.0} for each in trained]
-    write_csv(place.target / TIMINGS, pd.DataFrame(timed), digits=3)
+    timed = {"networks": len(trained), "cpu_minutes": minutes, "cpu_minutes_each": minutes / len(trained)}
+    write_csv(place.target / TIMINGS, pd.DataFrame([timed]), digits=3)
 
 
 def network_row(network: int) -> str:
     """The name of a network's row."""
     return f"gain-gru {network}"
-
-
-def trained_networks(
-    place: Place, batch: Batch, validation: Batch, settings: Settings, seeds: tuple[int, ...]
-) -> list[Training]:
-    """A training from each seed; those that a job which was broken off left in ``place.work`` are taken from there."""
-    from gain_training import Training, train
-
-    from estimators.learning.networks.tensor_file import read_arrays, write_arrays
-
-    found, of = [], json.dumps([learned_from(), asdict(settings)])
-    for seed in seeds:
-        path = place.work / f"network-{seed}.safetensors"
-        if place.resume and path.is_file():
-            arrays, texts = read_arrays(path, "a training")
-            if texts["of"] == of:
-                found.append(Training(weights=arrays, **json.loads(texts["training"])))
-                continue
-        made = train(seed, batch, validation, settings)
-        told = {key: value for key, value in asdict(made).items() if key != "weights"}
-        write_arrays(path, made.weights, {"training": json.dumps(told), "of": of})
-        found.append(made)
-    return found
 
 
 def write_weights(path: Path, trained: list[Training]) -> None:

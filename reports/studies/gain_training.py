@@ -7,27 +7,22 @@ One thread, one seed: the same numbers each time.
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
-from gain_filter import Batch, Classical, Fix, GainNetwork, follow, loss_of, plain
+from gain_filter import Batch, Classical, Fix, GainNetworks, follow, loss_of, plain
 
 from testbed.base.errors import tell_user
-
-PARTS = 20
-"""Lessons that a filter is led over at once: more cost memory and are no faster on one core."""
 
 
 @dataclass(frozen=True)
 class Settings:
     """Of a training: passes over the lessons, lessons of a step, steps of 0.2 s of a window, and the optimiser's (Adam)."""
 
-    epochs: int = 20
-    batch: int = PARTS
+    epochs: int = 16
+    batch: int = 20
     window: int = 50
     """Ten seconds: several times as long as a fix acts on position and velocity."""
     rate: float = 3e-3
@@ -47,73 +42,89 @@ class Training:
     """On the validation flights, of the weights in the precision in which they ship."""
     finite: bool = True
     """Whether the loss stayed a number."""
-    seconds: float = 0.0
-    """Of one core."""
-    curve: list[dict[str, float]] = field(default_factory=list)
 
     def failed(self, untrained: float) -> bool:
         """Whether it diverged, or is worse on the validation flights than the plain filter."""
         return not self.finite or self.loss > untrained
 
+    def note(self, epoch: int, learned: float, loss: float, weights: dict[str, np.ndarray]) -> None:
+        """Keep what an epoch made, where its loss is the least so far."""
+        self.finite = self.finite and math.isfinite(learned) and math.isfinite(loss)
+        if self.finite and loss < self.loss:
+            self.loss, self.epoch, self.weights = loss, epoch, weights
 
-def train(seed: int, lessons: Batch, validation: Batch, settings: Settings, tell: Any = tell_user) -> Training:
-    """Train a network from ``seed``, which draws its weights and the order of the lessons."""
+
+def train(
+    seeds: Sequence[int],
+    lessons: Batch,
+    validation: Batch,
+    settings: Settings,
+    tell: Callable[[str], None] = tell_user,
+) -> list[Training]:
+    """Train a network from each seed, which draws its weights and the order of the lessons; they share passes and nothing else."""
     torch.set_num_threads(1)
-    torch.manual_seed(seed)
-    rng, started = np.random.default_rng(seed), time.process_time()
-    network = GainNetwork()
-    found = Training(seed, network.weights())
-    optimiser = torch.optim.Adam(network.parameters(), settings.rate)
+    networks, rngs = GainNetworks(seeds), [np.random.default_rng(seed) for seed in seeds]
+    found = [Training(seed, of_network(networks.weights(), k)) for k, seed in enumerate(seeds)]
+    optimiser = torch.optim.Adam(networks.parameters(), settings.rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.epochs)
+    count = len(lessons.start)
     for epoch in range(1, settings.epochs + 1):
-        order = rng.permutation(len(lessons.start))
-        learned = [
-            step(network, optimiser, lessons.taken(torch.as_tensor(rows)), settings)
-            for rows in np.array_split(order, max(1, len(order) // settings.batch))
-        ]
+        orders = np.stack([rng.permutation(count) for rng in rngs])
+        parts = [orders[:, k : k + settings.batch] for k in range(0, count, settings.batch)]
+        learned = np.mean([step(networks, optimiser, lessons, rows, settings) for rows in parts], axis=0)
         schedule.step()
-        loss = mean_loss(validation, GainNetwork().take(network.weights()).fix)
-        found.curve.append({"epoch": epoch, "training": float(np.mean(learned)), "validation": loss})
-        tell(f"network {seed}, epoch {epoch}: training {np.mean(learned):.3f}, validation {loss:.3f}")
-        if not math.isfinite(loss) or not np.isfinite(learned).all():
-            found.finite = False
-            break
-        if loss < found.loss:
-            found.loss, found.epoch, found.weights = loss, epoch, network.weights()
-    found.seconds = time.process_time() - started
+        weights = networks.weights()
+        losses = losses_of(GainNetworks(seeds).take(weights), validation)
+        for k, training in enumerate(found):
+            training.note(epoch, learned[k], losses[k], of_network(weights, k))
+        tell(f"epoch {epoch}: training {np.round(learned, 3)}, validation {np.round(losses, 3)}")
     return found
 
 
-def step(network: GainNetwork, optimiser: torch.optim.Optimizer, batch: Batch, settings: Settings) -> float:
-    """Learn along some lessons, window by window; their mean loss. Stops where the loss is no number."""
+def of_network(weights: dict[str, np.ndarray], k: int) -> dict[str, np.ndarray]:
+    """The weights of one of several networks."""
+    return {name: array[k].copy() for name, array in weights.items()}
+
+
+def step(
+    networks: GainNetworks, optimiser: torch.optim.Optimizer, lessons: Batch, rows: np.ndarray, settings: Settings
+) -> np.ndarray:
+    """Learn along lessons, ``rows`` (K,B) for each network, window by window; the mean loss (K,) of each."""
+    batch = lessons.taken(torch.as_tensor(rows.ravel()))
     state, losses = None, []
-    for span in windows(len(batch.phi), settings.window):
-        course = follow(batch, network.fix, span, state)
-        loss = loss_of(course)
-        losses.append(float(loss))
-        if not math.isfinite(losses[-1]):
-            break
+    for first in range(0, len(batch.phi), settings.window):
+        course = follow(batch, networks.fix, slice(first, first + settings.window), state)
+        loss = loss_of(course).reshape(len(rows), -1).mean(1)
+        losses.append(loss.detach().numpy())
         optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), settings.clip)
+        loss.sum().backward()
+        clip(networks, settings.clip)
         optimiser.step()
         state = tuple(tensor.detach() for tensor in course.state)
-    return float(np.mean(losses))
+    return np.mean(losses, axis=0)
 
 
-def windows(steps: int, length: int) -> Iterator[slice]:
-    """All steps, in parts of at most ``length``."""
-    for first in range(0, steps, length):
-        yield slice(first, min(first + length, steps))
+def clip(networks: GainNetworks, largest: float) -> None:
+    """Shorten the gradient of each network by itself."""
+    gradients = [parameter.grad for parameter in networks.parameters() if parameter.grad is not None]
+    norm = torch.sqrt(sum((g.flatten(1) ** 2).sum(1) for g in gradients))
+    factor = torch.clamp(largest / norm, max=1.0)
+    for gradient in gradients:
+        gradient *= factor.reshape(-1, *[1] * (gradient.dim() - 1))
+
+
+def losses_of(networks: GainNetworks, batch: Batch) -> np.ndarray:
+    """The loss (K,) of each network over whole lessons."""
+    count = len(batch.start)
+    with torch.no_grad():
+        course = follow(batch.taken(torch.arange(count).repeat(networks.count)), networks.fix)
+        return loss_of(course).reshape(networks.count, count).mean(1).numpy()
 
 
 def mean_loss(batch: Batch, fix: Fix, noise: float = 1.0) -> float:
     """The loss of a filter over whole lessons."""
-    parts = []
     with torch.no_grad():
-        for rows in torch.split(torch.arange(len(batch.start)), PARTS):
-            parts.append(len(rows) * float(loss_of(follow(batch.taken(rows), fix, noise=noise))))
-    return float(np.sum(parts)) / len(batch.start)
+        return float(loss_of(follow(batch, fix, noise=noise)).mean())
 
 
 START = Classical(1.0, 1.0, 1.0, 16.27)

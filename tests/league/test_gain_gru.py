@@ -49,8 +49,8 @@ def test_the_policy_is_the_network_that_torch_has(gain_gru, gain_filter):
     import torch
 
     rng, weights = np.random.default_rng(1), weights_of(gain_gru)
-    network = gain_filter.GainNetwork().take(weights)
-    memory, state = gain_gru.memory_of(weights), torch.zeros(3, 12, dtype=torch.float64)
+    network = gain_filter.GainNetworks([1]).take({name: array[None] for name, array in weights.items()})
+    memory, state = gain_gru.memory_of(weights), torch.zeros(1, 3, 12, dtype=torch.float64)
     factors = []
     for _ in range(40):
         r = rng.uniform(0.01, 4.0, 6)
@@ -105,6 +105,18 @@ def test_a_lesson_is_what_the_filter_meets(gain_filter):
     np.testing.assert_allclose(sigma[:, :9], solution.std[rows][:, :9], rtol=0.02)
 
 
+def test_the_unit_is_that_of_torch(gain_gru, gain_filter):
+    import torch
+
+    weights, rng = weights_of(gain_gru), np.random.default_rng(2)
+    networks = gain_filter.GainNetworks([1]).take({name: array[None] for name, array in weights.items()})
+    unit = torch.nn.GRUCell(gain_gru.INPUTS, gain_gru.HIDDEN, dtype=torch.float64)
+    unit.load_state_dict({name: torch.as_tensor(weights[name]) for name in unit.state_dict()})
+    x, memory = (torch.as_tensor(rng.standard_normal((6, n))) for n in (gain_gru.INPUTS, gain_gru.HIDDEN))
+    with torch.no_grad():
+        np.testing.assert_allclose(networks.recur(x[None], memory[None])[0], unit(x, memory), rtol=ROUNDING)
+
+
 def test_training_is_the_same_twice_and_lowers_the_loss(gain_filter):
     """Fixes that are three times as bad as stated: there is something to learn within two passes of a few seconds."""
     training = study("gain_training")
@@ -113,8 +125,10 @@ def test_training_is_the_same_twice_and_lowers_the_loss(gain_filter):
     lesson = study("gain_lessons").lesson(truth, replace(log, aiding={"gnss": worse}), errors)
     batch = gain_filter.batch_of([lesson, lesson])
     settings = training.Settings(epochs=3, batch=1, window=20, rate=0.03)
-    first, second, other = (training.train(seed, batch, batch, settings, lambda _text: None) for seed in (1, 1, 2))
+    (first, other), (second, _) = (training.train((1, 2), batch, batch, settings, lambda _text: None) for _ in range(2))
+    (alone,) = training.train((1,), batch, batch, settings, lambda _text: None)
     assert first.loss == second.loss < training.untrained_loss(batch)
+    assert alone.loss == pytest.approx(first.loss, rel=1e-9), "networks share passes and nothing else"
     assert all(np.array_equal(first.weights[name], second.weights[name]) for name in first.weights)
     assert first.loss != other.loss and not first.failed(training.untrained_loss(batch))
     assert first.failed(first.loss - 1.0) and replace(first, finite=False).failed(np.inf)
