@@ -79,8 +79,8 @@ def make_trainings(place: Place) -> None:
     minutes = (time.process_time() - started) / 60.0
     classical, untrained = tuned(place.target), untrained_loss(validation)
     rows: list[dict[str, Any]] = [
-        {"filter": PLAIN, "epoch": 0, "loss": untrained},
-        {"filter": CLASSICAL, "epoch": 0, "loss": mean_loss(validation, classical.fix, classical.noise)},
+        {"filter": PLAIN, "epoch": None, "loss": untrained},
+        {"filter": CLASSICAL, "epoch": None, "loss": mean_loss(validation, classical.fix, classical.noise)},
     ]
     for each in trained:
         told = {"epoch": each.epoch, "loss": each.loss, "failed": int(each.failed(untrained))}

@@ -21,7 +21,8 @@ from testbed.base.errors import tell_user
 class Settings:
     """Of a training: passes over the lessons, lessons of a step, steps of 0.2 s of a window, and the optimiser's (Adam)."""
 
-    epochs: int = 16
+    epochs: int = 24
+    """A hundred and twenty passes, a quarter of an hour of one core for all networks together."""
     batch: int = 20
     window: int = 50
     """Ten seconds: several times as long as a fix acts on position and velocity."""
