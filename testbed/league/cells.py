@@ -26,6 +26,7 @@ from testbed.base.guarded import reason_of
 from testbed.data.records import NAVIGATION_STATES, NavSolution, SensorLog, Trajectory
 from testbed.data.registry import GROUP
 from testbed.league.child import attitude_only
+from testbed.league.entry import GROUP as ROWS
 from testbed.league.entry import Entry
 from testbed.league.launch import Answer, Logs, answers
 from testbed.league.suite import SUITE, Track
@@ -206,10 +207,9 @@ def code_digest() -> str:
     """Hash of the sources that a result follows from: the bench without what only shows, and the packages of estimators
     without the folders of rows, whose files count for them alone."""
     folders = [Path(testbed.__file__).parent]
-    rows = {point.module for point in entry_points(group=GROUP)}
-    for name in sorted({module.split(".")[0] for module in rows} - {"testbed"}):
+    for name in sorted({point.module.split(".")[0] for point in entry_points(group=GROUP)} - {"testbed"}):
         folders += _places(name)
-    of_rows = [place for module in rows for place in _places(module)]
+    of_rows = [place for point in entry_points(group=ROWS) for place in _places(point.module)]
     total = hashlib.sha256()
     for k, folder in enumerate(folders):
         for path in sorted(folder.rglob("*.py")):

@@ -52,6 +52,7 @@ class PluginTable(Table):
     estimator: str = ""
     """Its name; may be left out where the file has one estimator alone."""
     params: dict[str, Any] = {}
+    """Of its constructor."""
 
 
 class NamedTable(Table):
@@ -60,6 +61,7 @@ class NamedTable(Table):
     estimator: str
     """As ``testbed list estimators`` shows it."""
     params: dict[str, Any] = {}
+    """Of its constructor."""
 
 
 class AnswersTable(Table):

@@ -112,7 +112,8 @@ def test_the_code_of_a_result_is_not_that_of_other_rows(tmp_path, monkeypatch):
     for folder in (rows, rows.parent):
         (folder / "__init__.py").write_text("")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(cells, "entry_points", lambda group: [EntryPoint("peers", "peer_filters.rows", group)])
+    named = {"testbed.estimators": "peer_filters", "testbed.league": "peer_filters.rows"}
+    monkeypatch.setattr(cells, "entry_points", lambda group: [EntryPoint("peers", named[group], group)])
     digest = cells.code_digest.__wrapped__
     before = digest()
     (rows / "mine" / "mine.py").write_text("x = 1\n")
