@@ -22,6 +22,8 @@ from pathlib import Path
 VARIABLE, MARK = "NUMBA_CACHE_DIR", "TESTBED_NUMBA_CACHE_DIR"
 """numba's variable; and the value that this module gave it, so that a child tells it from the user's."""
 PACKAGES = ("testbed", "estimators")
+PLUGINS = ("estimators", "league")
+"""Below lie rows of the league, each a plug-in in a folder of its own: nothing imports them, and numba looks at their files."""
 KEPT = 3
 """Folders of earlier sources that stay, so that going back and forth between two of them costs nothing."""
 IN_USE_S = 3600.0
@@ -131,8 +133,8 @@ def _files() -> dict[str, Path]:
     home = Path(__file__).resolve().parent.parent
     for package in PACKAGES:
         for folder, folders, names in os.walk(home / package):
-            folders[:] = sorted(f for f in folders if f != "__pycache__")
             parts = Path(folder).relative_to(home).parts
+            folders[:] = sorted(f for f in folders if f != "__pycache__" and parts != PLUGINS)
             for name in sorted(n for n in names if n.endswith(".py")):
                 module = parts if name == "__init__.py" else (*parts, name[:-3])
                 out[".".join(module)] = Path(folder, name)

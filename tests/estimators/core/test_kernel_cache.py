@@ -165,6 +165,14 @@ step(np.ones(200), np.ones(100))
 """
 
 
+def test_a_row_of_the_league_recompiles_nothing_but_itself():
+    """It is a plug-in: numba keeps what is compiled of it by its own file."""
+    modules = kernel_cache._files()
+    assert "estimators.league" in modules and "estimators.policies.gate" in modules
+    assert (ROOT / "estimators" / "league" / "gain-gru" / "gain_gru.py").is_file()
+    assert not [module for module in modules if module.startswith("estimators.league.")]
+
+
 def test_code_compiled_for_lanes_is_loaded_where_nobody_asked_for_them(tmp_path):
     """`wrap` in the cache knows lanes; `step` is compiled anew and loads it in the middle. numba ended with KeyError."""
     for code in (WITH_LANES, WITHOUT):
