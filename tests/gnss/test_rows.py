@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from report_studies import study
 
 from testbed.formats.solutions import read
 from testbed.physics.ecef import ecef_to_geodetic
@@ -19,9 +20,7 @@ def test_other_programs_are_rows(tmp_path):
     pytest.importorskip("pyrtklib")
     if not DATA.is_dir():
         pytest.skip("needs the shared observation file")
-    from reports.gnss_rows import make
-
-    made = make(DATA / "SEPT078M_GE.21O", DATA / "SEPT078M.21P", PLACE, tmp_path)
+    made = study("gnss_rows").make(DATA / "SEPT078M_GE.21O", DATA / "SEPT078M.21P", PLACE, tmp_path)
     assert [path.name for path in made] == ["sidereon.csv", "rtklib.csv", "testbed.csv"]
     origin = ecef_to_geodetic(*PLACE)
     places = {path.stem: read(path, origin).ned for path in made}
