@@ -14,14 +14,14 @@ from pictures import shrink
 PLACE = Path(__file__).resolve().parents[1] / "league"
 
 
-def keep(result: Path, place: Path = PLACE) -> Path:
-    """Make the page of a finished league in a folder that holds ``findings.md``; its path."""
+def keep(result: Path) -> Path:
+    """Make the page of a finished league; its path."""
     for name in ("league.json", "league.png"):
-        shutil.copyfile(result / name, place / name)
-    shrink(place)
+        shutil.copyfile(result / name, PLACE / name)
+    shrink(PLACE)
     head, _, tables = (result / "league.md").read_text(encoding="utf-8").partition("\n\n")
-    findings = (place / "findings.md").read_text(encoding="utf-8").strip()
-    page = place / "report.md"
+    findings = (PLACE / "findings.md").read_text(encoding="utf-8").strip()
+    page = PLACE / "report.md"
     page.write_text(f"{head}\n\n{findings}\n\n{tables}", encoding="utf-8")
     return page
 

@@ -181,9 +181,9 @@ def _times(played: Played, times: Times) -> str:
     body = []
     for entry in sorted(played.entries, key=lambda e: times.get(e.name, {}).get("relative", float("inf"))):
         found = times.get(entry.name)
-        # both, as on a busy machine the reference takes long as well
-        slower = found is not None and min(LEAST_US[speed_of(found[key])] for key in ("us", "relative"))
-        wrong = slower > LEAST_US[entry.table.speed]
+        # by both, as on a busy machine the reference takes long as well
+        least = 0.0 if found is None else min(LEAST_US[speed_of(found[key])] for key in ("us", "relative"))
+        wrong = least > LEAST_US[entry.table.speed]
         cells = ["–", "–"] if found is None else [f"{found['relative']:.3g}", f"{found['us']:.3g}"]
         body.append([entry.name, *cells, f"{entry.table.speed}{', measured slower' if wrong else ''}"])
     names = " and ".join(f"`{name}` ({filters})" for filters, name in REFERENCE.items())
