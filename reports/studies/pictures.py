@@ -15,7 +15,8 @@ def shrink(folder: Path) -> int:
         with Image.open(path) as picture:
             if picture.mode == "P":
                 continue
-            reduced = picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+            # the palette spans all colours: a median cut gives a few points of a colour that of the many beside them
+            reduced = picture.convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
             reduced.info["dpi"] = picture.info.get("dpi", (150, 150))
         reduced.save(path, optimize=True, dpi=reduced.info["dpi"])
     return sum(path.stat().st_size for path in folder.rglob("*.png"))
