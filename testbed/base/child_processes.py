@@ -86,6 +86,24 @@ def end_with_parent() -> None:
     threading.Thread(target=_wait_for_parent, daemon=True).start()
 
 
+def end_with_standard_input() -> None:
+    """Have this process end when its standard input does: a pipe from another program, which closes however that one dies.
+
+    What runs here finds the input empty.
+    """
+    held = os.dup(0)
+    empty = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(empty, 0)
+    os.close(empty)
+    threading.Thread(target=_wait_for_end, args=(held,), daemon=True).start()
+
+
+def _wait_for_end(pipe: int) -> None:
+    while os.read(pipe, 1):
+        pass
+    os._exit(1)
+
+
 def _wait_for_parent() -> None:
     parent = parent_process()
     if parent is not None:

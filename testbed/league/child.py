@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from testbed.base.child_processes import end_with_standard_input
 from testbed.base.errors import InputError
 from testbed.base.files import write_json, write_with
 from testbed.base.guarded import reason_of, timed
@@ -116,4 +117,5 @@ def attitude_only(solution: NavSolution) -> NavSolution:
 
 
 if __name__ == "__main__":
+    end_with_standard_input()
     main(Path(sys.argv[1]))

@@ -140,10 +140,10 @@ def _of_child(entry: Entry, logs: Logs, count: int, home: Path) -> list[Answer]:
 
 
 def _child(home: Path, waiting: Sequence[str], timeout_s: float) -> str:
-    """Start a child on a job and wait as long as it goes on; why it ended early."""
+    """Start a child on a job and wait as long as it goes on; why it ended early. Its standard input ends when we do."""
     command = [sys.executable, "-P", "-m", "testbed.league.child", str(home)]
     with (home / "said").open("wb") as said:
-        process = subprocess.Popen(command, cwd=home / "entry", env=environment(home), stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True)  # fmt: skip
+        process = subprocess.Popen(command, cwd=home / "entry", env=environment(home), stdin=subprocess.PIPE, stdout=said, stderr=said, start_new_session=True)  # fmt: skip
         try:
             done, since = 0, time.monotonic()
             while process.poll() is None:
@@ -241,6 +241,8 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
+    if process.stdin is not None:
+        process.stdin.close()
 
 
 def _last_words(said: Path, code: int) -> str:

@@ -3,7 +3,9 @@
 import json
 import math
 import os
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -236,3 +238,58 @@ def test_the_environment_names_no_cache(tmp_path, monkeypatch):
         "MPLCONFIGDIR",
     }
     assert os.environ["TESTBED_CACHE"] == "/somewhere" and sys.executable
+
+
+SLEEPS = """
+import os, time
+from pathlib import Path
+class Sleeps(Known):
+    name = "sleeps"
+    def run(self, log):
+        Path({place!r}).write_text(str(os.getpid()))
+        time.sleep(50.0)
+"""
+KILLED = """
+import subprocess
+import sys
+import time
+import pytest
+from pathlib import Path
+from league.tracks import use
+from testbed.league.run import Wanted, league
+place = Path(sys.argv[1])
+with pytest.MonkeyPatch.context() as patch:
+    use(patch, place, 1)
+    league(Wanted([place / "in" / "sleeps"], development=True), place / "out")
+"""
+
+
+def test_no_row_goes_on_after_a_league_that_was_killed(tmp_path):
+    """SIGKILL leaves the league no moment to end its children: they notice by their standard input."""
+    told = tmp_path / "pid"
+    plugin = KNOWN + SLEEPS.format(place=str(told))
+    entry(tmp_path / "in", "sleeps", '[plugin]\nfile = "sleeps.py"\nestimator = "sleeps"\n', sleeps_py=plugin)
+    tests = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
+    killed = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], env=tests)
+    try:
+        assert _within(40.0, lambda: told.is_file() and told.read_text())
+    finally:
+        killed.kill()
+        killed.wait()
+    assert _within(10.0, lambda: not _runs(int(told.read_text())))
+
+
+def _runs(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def _within(seconds, found):
+    """Whether something comes true in time."""
+    end = time.monotonic() + seconds
+    while not found() and time.monotonic() < end:
+        time.sleep(0.05)
+    return found()
