@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import narx_drive
 import narx_filters
+import narx_inputs
 import narx_lessons
 from jobs import Paper, Setting, readings, runs, study
 
@@ -44,6 +45,19 @@ PAPER = Paper(
             scenarios=(Setting(),),
             inputs=[narx_lessons.DRAWS, narx_lessons.SCORED, list(narx_lessons.READINGS)],
             title="What there is to learn in a window without GNSS",
+        ),
+        study(
+            "inputs",
+            narx_inputs.make_tables,
+            minutes=1,
+            tables=("selection.csv", "ranking.csv", "lags.csv"),
+            figures=("lags",),
+            scenarios=(Setting(),),
+            inputs=[list(narx_inputs.READINGS), list(narx_inputs.ROWS)],
+            linked=("ranking.csv", "lags.csv"),
+            title="Inputs and lags that the thesis's method selects",
+            note="The four inputs of each network with their scores J (nats), the best of those left out, and its lags; on the windows"
+            " of the training flight that the networks learn from. Figure: NNCKF, Q of the data sheet.",
         ),
         study(
             "drive",
