@@ -71,7 +71,7 @@ def ranking_line(ranking: Sequence[Ranked]) -> str:
 def plot_lags(curves: Mapping[str, LagCurve], path: Path) -> None:
     """The Lipschitz index over the number of lags, one line per target; a ring marks the chosen order."""
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogFormatter
+    from matplotlib.ticker import LogFormatter, MaxNLocator
 
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.subplots()
@@ -81,6 +81,7 @@ def plot_lags(curves: Mapping[str, LagCurve], path: Path) -> None:
         axes.semilogy(curve.lags[at], curve.index[at], "o", mfc="none", ms=10, color=line.get_color())
     for of_axis in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
         of_axis(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("lags of output and inputs")
     axes.set_ylabel("Lipschitz index (scaled signals)")
     axes.grid(True, which="both", alpha=0.3)
