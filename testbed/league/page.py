@@ -73,8 +73,8 @@ def _has_open(played: Played, table: Table) -> bool:
 
 
 def _legend() -> str:
-    return f"""Errors are geometric means over the seeds with 95 % intervals; a lost run counts with the error at which a run is lost.
-Places follow the errors, and a row shares the place of the one above it (=) unless it is significantly worse than one of
+    return f"""Errors are geometric means over the seeds with 95 % intervals; a lost run counts with the error at which a run is lost. A row
+of fewer seeds is set off against the reference on those that both have: the reference's figure times the ratio there. Places follow the errors, and a row shares the place of the one above it (=) unless it is significantly worse than one of
 that place: paired t tests of the logarithms, 5 % after Holm for all pairs of a track. **Bold** wins: the best place among rows
 that are honest. {MARKS[OVER]} over-confident and {MARKS[UNDER]} over-cautious: NEES over its degrees of freedom lies above {HONEST[1]} or
 below {HONEST[0]} with 99 % confidence; {MARKS[SILENT]} tells no sigmas; {MARKS[LOST]} finished no run. None of these can win."""

@@ -2,7 +2,8 @@
 
 The figure of a row is the geometric mean of its runs' errors: errors of runs scatter by factors, and a ratio of geometric means
 is what the paired t test of the logarithms tests. A run that is lost counts with the error at which a run is lost (`limit_of`):
-it is at least as wrong. Pairs of one table are corrected for their number (Holm 1979). Places follow the order of the figures, and
+it is at least as wrong. A row of fewer runs is set off against the reference on the runs that both have (`_figure`): the first ten
+draws are easier or harder than a hundred, for all rows alike. Pairs of one table are corrected for their number (Holm 1979). Places follow the order of the figures, and
 a row shares the place of the one above it unless it is significantly worse than one of that place. NEES over its degrees of freedom:
 Bar-Shalom, Li & Kirubarajan, 5.4; the mean over runs of the time averages, with a 99 % t interval. Of a few runs that scatter this
 interval reaches from nothing to anything, so the mean is also held against what chance makes of right sigmas at the very most
@@ -21,7 +22,7 @@ import numpy as np
 from scipy.special import chdtri, stdtrit
 
 from testbed.data.records import Array
-from testbed.league.suite import Track
+from testbed.league.suite import REFERENCE, Track
 from testbed.scoring.statistics import LEVEL, difference_p, holm
 
 SMALLEST = 1e-6
@@ -65,7 +66,8 @@ def table(track: Track, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> list
     """The standings of a track, best first. ``rows``: of each entry its runs, as cells hold them."""
     limit = limit_of(track)
     logs = {name: _logarithms(runs, limit) for name, runs in rows.items()}
-    standings = {name: _standing(name, rows[name], logs[name]) for name in rows}
+    reference = logs.get(REFERENCE[track.table.filters])
+    standings = {name: _standing(name, rows[name], _figure(logs[name], reference, math.log(limit))) for name in rows}
     worse = _significant(logs)
     for a, b in combinations(rows, 2):
         if (a, b) not in worse and (b, a) not in worse:
@@ -98,16 +100,30 @@ def _logarithms(runs: Sequence[Mapping[str, Any]], limit: float) -> Array:
     return np.log(np.array(errors))
 
 
-def _standing(name: str, runs: Sequence[Mapping[str, Any]], logs: Array) -> Standing:
-    same = np.ptp(logs) < SAME  # nothing varied that it depends on
-    low, high = (math.nan, math.nan) if same else _interval(logs, LEVEL)
+def _standing(name: str, runs: Sequence[Mapping[str, Any]], figure: tuple[float, float, float]) -> Standing:
     nees, mark = honesty(runs)
     lost = [run for run in runs if run["error"] is None]
-    ends = [None if math.isnan(end) else float(np.exp(end)) for end in (low, high)]
-    mean = float(np.exp(logs.mean()))
-    return Standing(
-        name, len(runs), mean, ends[0], ends[1], len(lost), mark, nees, reason=lost[0]["reason"] if lost else ""
-    )
+    mean, *ends = figure
+    low, high = (None if math.isnan(end) else math.exp(end) for end in ends)
+    reason = lost[0]["reason"] if lost else ""
+    return Standing(name, len(runs), math.exp(mean), low, high, len(lost), mark, nees, reason=reason)
+
+
+def _figure(logs: Array, reference: Array | None, limit: float) -> tuple[float, float, float]:
+    """Mean logarithm of a row's errors with its interval, NaN where nothing varied that it depends on.
+
+    Of a row of fewer runs than the reference: the reference's mean plus the mean difference on common runs, at most ``limit``; the
+    halves of the two intervals add as independent.
+    """
+    mean = float(logs.mean())
+    if np.ptp(logs) < SAME:
+        return mean, math.nan, math.nan
+    if reference is None or len(reference) <= len(logs):
+        return mean, *_interval(logs, LEVEL)
+    difference = logs - reference[: len(logs)]
+    half = math.hypot(_half(difference, LEVEL), _half(reference, LEVEL))
+    mean = min(float(reference.mean() + difference.mean()), limit)
+    return mean, mean - half, mean + half
 
 
 def honesty(runs: Sequence[Mapping[str, Any]]) -> tuple[dict[str, float], str]:
@@ -140,11 +156,14 @@ def chance(runs: int) -> tuple[float, float]:
 
 def _interval(values: Array, level: float) -> tuple[float, float]:
     """Student's interval of the mean; NaN below two values."""
-    n = len(values)
-    if n < 2:
-        return math.nan, math.nan
-    half = float(stdtrit(n - 1.0, 0.5 + 0.5 * level) * values.std(ddof=1) / math.sqrt(n))
+    half = _half(values, level)
     return float(values.mean() - half), float(values.mean() + half)
+
+
+def _half(values: Array, level: float) -> float:
+    """Half of Student's interval of the mean; NaN below two values."""
+    n = len(values)
+    return float(stdtrit(n - 1.0, 0.5 + 0.5 * level) * values.std(ddof=1) / math.sqrt(n)) if n > 1 else math.nan
 
 
 def _p_value(a: Array, b: Array) -> float:

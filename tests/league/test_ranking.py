@@ -57,6 +57,22 @@ def test_mean_interval_and_pairs_are_those_of_scipy():
     assert [found[name].rank for name in "abc"] == [1, 2, 2]
 
 
+def test_a_row_of_fewer_runs_is_set_off_against_the_reference():
+    """The first two draws are easy. By hand: on them the row errs by 2 and 3 times the reference's 1 m, by sqrt(6) in the mean, and the
+    reference's mean over all four is 2 m."""
+    errors = {"indirect-kf": [1.0, 1.0, 4.0, 4.0], "slow": [2.0, 3.0], "other": [1.9, 3.1, 8.0, 9.0]}
+    found = by_name(ranking.table(TRACK, {name: runs(e) for name, e in errors.items()}))
+    assert found["indirect-kf"].error == pytest.approx(2.0)
+    assert found["slow"].error == pytest.approx(2.0 * math.sqrt(6.0))
+    assert found["other"].error == pytest.approx(stats.gmean(errors["other"]))
+    halves = [stats.t.ppf(0.975, n - 1) * stats.sem(np.log(e)) for n, e in ((2, [2.0, 3.0]), (4, [1.0, 1.0, 4.0, 4.0]))]
+    assert math.log(found["slow"].high / found["slow"].error) == pytest.approx(math.hypot(*halves))
+    alone = ranking.table(TRACK, {"slow": runs([2.0, 3.0]), "lost": runs([math.nan] * 2)})
+    assert by_name(alone)["slow"].error == pytest.approx(math.sqrt(6.0)), "without the reference as it is"
+    lost = by_name(ranking.table(TRACK, {"indirect-kf": runs([1.0, 1.0, 4.0, 4.0]), "lost": runs([math.nan] * 2)}))
+    assert lost["lost"].error == pytest.approx(ranking.limit_of(TRACK)), "a row that loses all stands at the limit"
+
+
 def test_a_row_of_great_scatter_does_not_tie_the_field():
     """It leads by chance and nothing tells it from the last; the second, which is sharp, does."""
     errors = {
