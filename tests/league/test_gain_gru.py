@@ -174,3 +174,14 @@ def test_the_row_runs_in_the_leagues_child(tmp_path, monkeypatch):
     league(Wanted([FOLDER], development=True), tmp_path / "out")
     found = table(tmp_path / "out", "open")[entry.name]
     assert found["error"] < 5.0 and found["lost"] == 0 and found["nees"]
+
+
+def test_the_tuned_row_beside_it_has_the_numbers_of_the_report():
+    """``tuned.csv`` and the row, as the study makes the filter of the first."""
+    module = study("gain_network")
+    made = module.filters(module.tuned(FOLDER.parents[2] / "reports" / "gain-network"), FOLDER / "none", ())
+    told = tomllib.loads((FOLDER.parent / "eskf-tuned" / "entry.toml").read_text())["eskf"]
+    own, wanted = make_estimator("eskf", **told), made[module.CLASSICAL]
+    assert own.std_scale == wanted.std_scale and own.noise_scale == wanted.noise_scale
+    assert tuple(own.aiding) == tuple(wanted.aiding) and set(own.states) == set(wanted.states)
+    assert own.policy == wanted.policy
