@@ -51,7 +51,7 @@ def main() -> None:
     commit = "trial" if options.trial else clean_commit(papers)
     for paper in papers:
         wanted = [job for job in paper.jobs if is_wanted(paper, job, options)]
-        if options.names and not wanted:
+        if options.names and not wanted and paper.name not in options.names:
             continue
         for job in wanted:
             make(paper, job, target, commit, options)
