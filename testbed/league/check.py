@@ -8,8 +8,9 @@ from pathlib import Path
 
 from testbed.base.errors import InputError
 from testbed.league.cells import KEEP_HZ, scored, sense
-from testbed.league.entry import LEAST_US, SEEDS, read_entry, shipped_entries, speed_of, unique
+from testbed.league.entry import read_entry, shipped_entries, unique
 from testbed.league.launch import Logs, answers, build
+from testbed.league.speeds import LEAST_US, SEEDS, speed_of
 from testbed.league.suite import RECORDED, REFERENCE, TRACKS, load_track, shortened
 
 CHECK_S = 30.0

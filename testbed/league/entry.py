@@ -28,20 +28,8 @@ from testbed.league.suite import Class
 FILE = "entry.toml"
 GROUP = "testbed.league"
 """Entry points that name packages with rows: a folder with ``entry.toml`` for each, and files of ``[[entries]]``."""
-LEAST_US = {"fast": 0.0, "slow": 20.0, "very slow": 200.0}
-"""Microseconds per IMU sample from which on a row is so slow; a seed of all tracks of a very slow one takes minutes."""
-SEEDS = {"fast": 100, "slow": 10, "very slow": 3}
-"""Of a row: a hundred halve the interval of 25 and are a night's work for nobody; ten of a slow row cost as much as 100 of a
-fast one that is ten times as fast; three are the fewest with two degrees of freedom."""
-QUICK_SEEDS = {"fast": 3, "slow": 1, "very slow": 0}
-"""Three for the same reason; one shows that a slow row runs, and a very slow one alone would take most of the ten minutes."""
 TIMEOUT_S = 300.0
 """3 ms per sample of the longest log: so far from what a row needs that no busy machine decides whether it answers."""
-
-
-def speed_of(us: float) -> str:
-    """How slow so many microseconds per IMU sample are."""
-    return [name for name, least in LEAST_US.items() if us >= least][-1]
 
 
 class PluginTable(Table):
@@ -140,10 +128,6 @@ class Entry:
     def name(self) -> str:
         """The name of its row."""
         return self.table.name
-
-    def seeds(self, quick: bool) -> int:
-        """How many runs of each track it has. By what it declares, not by what is measured, so that no clock decides a byte."""
-        return (QUICK_SEEDS if quick else SEEDS)[self.table.speed]
 
     def estimator(self) -> tuple[str, dict[str, Any]] | None:
         """Name and parameters of the estimator that a child makes; None of a program."""

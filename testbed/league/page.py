@@ -12,9 +12,9 @@ import numpy as np
 
 import testbed
 from testbed.base.figure_style import COLOURS, STYLE, logarithmic
-from testbed.league.entry import LEAST_US, QUICK_SEEDS, SEEDS, speed_of
 from testbed.league.played import Played, Table
 from testbed.league.ranking import HONEST, LOST, OVER, SILENT, UNDER, Standing
+from testbed.league.speeds import LEAST_US, QUICK_SEEDS, SEEDS, speed_of
 from testbed.league.suite import REFERENCE, SUITE, Track
 from testbed.report.html import document
 from testbed.scoring.quantities import metric_label, unit

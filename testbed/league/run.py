@@ -20,6 +20,7 @@ from testbed.league.cells import Cell, cells_of, work
 from testbed.league.entry import Entry, read_entry, shipped_entries, unique
 from testbed.league.launch import build
 from testbed.league.played import Played
+from testbed.league.speeds import seeds_of
 from testbed.league.suite import RECORDED, Track, chosen_tracks, load_track
 from testbed.montecarlo.folders import Folder
 
@@ -57,7 +58,7 @@ def league(wanted: Wanted, out: Path) -> list[Path]:
             for track in tracks
             for entry in entries
             if entry.table.filters == track.table.filters
-            for cell in cells_of(track, entry, entry.seeds(wanted.quick))
+            for cell in cells_of(track, entry, seeds_of(entry.table.speed, wanted.quick))
         ]
         if not cells:
             raise InputError("the league has nothing to do: no row is of the class of these tracks")
@@ -81,7 +82,9 @@ def chosen_rows(wanted: Wanted) -> tuple[list[Entry], dict[str, str]]:
                 raise InputError(f"--rows: no row '{name}'; {nearest(name, known)}")
         entries = [entry for entry in entries if entry.name in wanted.rows]
     left_out = {entry.name: f"needs {missing}" for entry in entries if (missing := entry.missing())}
-    left_out |= {entry.name: "is too slow for --quick" for entry in entries if not entry.seeds(wanted.quick)}
+    left_out |= {
+        entry.name: "is too slow for --quick" for entry in entries if not seeds_of(entry.table.speed, wanted.quick)
+    }
     for name, reason in left_out.items():
         tell_user(f"note: {name} is left out: it {reason}")
     return [entry for entry in entries if entry.name not in left_out], left_out

@@ -16,8 +16,9 @@ import testbed
 from testbed.base.checksums import sealed_json
 from testbed.league import page, ranking
 from testbed.league.cells import Cell
-from testbed.league.entry import QUICK_SEEDS, SEEDS, Entry
+from testbed.league.entry import Entry
 from testbed.league.played import Played, Table
+from testbed.league.speeds import QUICK_SEEDS, SEEDS
 from testbed.league.suite import REFERENCE, SUITE, Track
 from testbed.montecarlo.folders import Folder
 

@@ -18,6 +18,7 @@ from testbed.league import cells, drive_data, suite
 from testbed.league.check import Checked, remark
 from testbed.league.entry import read_entries, read_entry, shipped_entries, unique
 from testbed.league.run import Wanted, chosen_rows
+from testbed.league.speeds import seeds_of
 from testbed.league.suite import TRACKS, load_track, released_seed, shortened, track_files
 from testbed.scoring.quantities import metric_names
 
@@ -128,7 +129,7 @@ def test_a_very_slow_row_is_left_out_of_a_quick_league(tmp_path, capsys):
     assert [row.name for row in rows] == ["ins"]
     assert left_out == {"mine": "is too slow for --quick"}
     assert "mine is left out: it is too slow for --quick" in capsys.readouterr().err
-    assert chosen_rows(Wanted([tmp_path / "mine"], ["mine"]))[0][0].seeds(quick=False) == 3
+    assert seeds_of(chosen_rows(Wanted([tmp_path / "mine"], ["mine"]))[0][0].table.speed, quick=False) == 3
 
 
 @pytest.mark.parametrize(

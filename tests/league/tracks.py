@@ -120,7 +120,7 @@ def use(patch: pytest.MonkeyPatch, place: Path, seeds: int = 6) -> None:
     patch.setattr(suite, "TRACKS", ("roll",))
     patch.setattr(suite, "track_files", lambda: {"roll": file})
     patch.setattr(run, "shipped_entries", list)
-    patch.setattr("testbed.league.entry.SEEDS", {"fast": seeds, "slow": 2})
+    patch.setattr("testbed.league.speeds.SEEDS", {"fast": seeds, "slow": 2})
     patch.setitem(suite.REFERENCE, "position", "known")
     patch.setattr(registry, "_plugins", {})
     (place / "known.py").write_text(KNOWN)
