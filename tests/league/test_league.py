@@ -250,9 +250,7 @@ class Sleeps(Known):
         time.sleep(50.0)
 """
 KILLED = """
-import subprocess
 import sys
-import time
 import pytest
 from pathlib import Path
 from league.tracks import use
