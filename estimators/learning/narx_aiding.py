@@ -120,8 +120,7 @@ class NarxAiding:
             raise InputError(
                 f"{self.name}: {len(drifts)} windows of {self.longest_outage_s:g} s to learn from, needs {HELD_BACK}"
             )
-        held_back = drifts[HELD_BACK - 1 :: HELD_BACK]
-        known = [drift for k, drift in enumerate(drifts) if k % HELD_BACK != HELD_BACK - 1]
+        known, held_back = split_windows(drifts)
         networks = DriftNetworks(self.structure(known)).train(known, self._offline(known))
         object.__setattr__(self, "_trained", networks.with_statistics(held_back))
 
@@ -288,6 +287,12 @@ class Nnakf(NarxAiding):
         if self.tune_p:
             flight.main.p[:] *= max(1.0, networks.growth)
         flight.main.run_to(stretch.end, Fixes.of(stretch.t[1:], z[1:], np.tile(r, (len(z) - 1, 1))))
+
+
+def split_windows(drifts: Sequence[Drift]) -> tuple[list[Drift], list[Drift]]:
+    """Of the windows of offline flights those that the networks learn from, and those that set R and P (every `HELD_BACK`-th)."""
+    learned = [drift for k, drift in enumerate(drifts) if k % HELD_BACK != HELD_BACK - 1]
+    return learned, list(drifts[HELD_BACK - 1 :: HELD_BACK])
 
 
 def _rows(drifts: Sequence[Drift]) -> int:

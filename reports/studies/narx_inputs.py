@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 from jobs import Place, write_csv
-from narx_lessons import learned_from
 
 if TYPE_CHECKING:
     from testbed.features.lipschitz import LagCurve
@@ -43,6 +42,7 @@ def make_tables(place: Place) -> None:
 
 def students(reading: str) -> Iterator[tuple[str, Any, list[Any]]]:
     """Label, estimator and the windows that it learns from, of every row with selected inputs."""
+    from estimators.learning.narx_aiding import split_windows
     from testbed.data.registry import make_estimator
     from testbed.scenario import load_scenario
     from testbed.training.flights import training_flights
@@ -53,7 +53,7 @@ def students(reading: str) -> Iterator[tuple[str, Any, list[Any]]]:
         if entry.row in ROWS:
             student: Any = make_estimator(entry.name, **entry.params)
             drifts = [drift for log, _ in flights for drift in student.lessons(log)]
-            yield entry.row, student, learned_from(drifts)
+            yield entry.row, student, split_windows(drifts)[0]
 
 
 def chosen_of(student: Any, known: list[Any]) -> tuple[dict[str, Any], dict[str, LagCurve]]:

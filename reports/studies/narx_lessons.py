@@ -79,19 +79,11 @@ def _drift_table(drifts: Mapping[str, Sequence[Any]]) -> list[str]:
     return lines
 
 
-def learned_from(drifts: Sequence[Any]) -> list[Any]:
-    """Of the windows of a training flight those that `fit` trains on; every third sets R and P."""
-    from estimators.learning.narx_aiding import HELD_BACK
-
-    return [drift for k, drift in enumerate(drifts) if k % HELD_BACK != HELD_BACK - 1]
-
-
 def _lesson_row(label: str, pupil: Any, drifts: Sequence[Any], unseen: Sequence[Any]) -> str:
-    from estimators.learning.narx_aiding import HELD_BACK
+    from estimators.learning.narx_aiding import split_windows
 
     networks = pupil.initial_networks(None)
-    kept_back = drifts[HELD_BACK - 1 :: HELD_BACK]
-    known = learned_from(drifts)
+    known, kept_back = split_windows(drifts)
     cells, limited = [], 0
     for some in (known, kept_back, unseen):
         found = [networks.closed_loop(drift) for drift in some]
