@@ -16,13 +16,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 DURATION_S = 6 * 3600.0
-SEED = 1
+FIRST_SEED = 1
+"""Of the first unit; each next one has the next, so that no two share their draws."""
 LIMITS_PCT = {"ARW": 3.0, "VRW": 3.0, "bias instability": 15.0, "RRW": 20.0}
 
 TEXT = """# IMUs of the catalogue at rest
 
-{hours:g} hours of each unit at rest, level, at the rate of its catalogue entry (seed {seed}); overlapping Allan deviation
-(NIST SP 1065, eq. 11); fit of white noise, first-order Gauss-Markov bias and rate random walk to the curve of the three axes together
+{hours:g} hours of each unit at rest, level, at the rate of its catalogue entry, with draws of its own (seeds {seed}, {next}, ... in the
+order of the table); overlapping Allan deviation (NIST SP 1065, eq. 11); fit of white noise, first-order Gauss-Markov bias and rate random walk to the curve of the three axes together
 (the mean of their Allan variances). Regenerate with `make reports`. Per-axis figures: [allan.csv](allan.csv).
 
 {table}
@@ -47,7 +48,7 @@ How to read it:
 """
 
 
-def write_report(folder: Path, duration_s: float = DURATION_S, seed: int = SEED) -> pd.DataFrame:
+def write_report(folder: Path, duration_s: float = DURATION_S, first_seed: int = FIRST_SEED) -> pd.DataFrame:
     """Write the report; returns the table of all units (columns of `allan.analyse`, with ``imu`` before them)."""
     import pandas as pd
 
@@ -57,7 +58,7 @@ def write_report(folder: Path, duration_s: float = DURATION_S, seed: int = SEED)
         rate = catalog.entry("imu", model).get("rate_hz")
         if rate is None:  # ideal: nothing to fit
             continue
-        log = static_log(model, rate, duration_s, seed)
+        log = static_log(model, rate, duration_s, first_seed + len(tables))
         table = allan.analyse(log)
         table.insert(0, "imu", model)
         tables.append(table)
@@ -65,7 +66,8 @@ def write_report(folder: Path, duration_s: float = DURATION_S, seed: int = SEED)
         plots.append(f"![Allan deviation of {model}]({model}.png)")
     whole = pd.concat(tables, ignore_index=True)
     whole.to_csv(folder / "allan.csv", index=False, float_format="%.6g")
-    text = TEXT.format(hours=duration_s / 3600.0, seed=seed, table=_markdown(whole), plots="\n\n".join(plots))
+    told = {"hours": duration_s / 3600.0, "seed": first_seed, "next": first_seed + 1}
+    text = TEXT.format(**told, table=_markdown(whole), plots="\n\n".join(plots))
     (folder / "README.md").write_text(text, encoding="utf-8")
     return whole
 
