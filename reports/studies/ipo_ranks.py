@@ -146,8 +146,17 @@ SHEETS = tuple(
     )
 )
 """Box, flight, job of the searches, their column, table of the data sheet's settings, and which runs of it."""
-PLACES, RANKING, FITNESS, SHEET = "places.csv", "ranking.csv", "verdicts-fitness.csv", "verdicts-data-sheet.csv"
-TABLES = (RANKING, PLACES, FITNESS, SHEET)
+FIRST = {
+    "fitness, min": ("1-min", "IPO has the lowest minimum of the fitness of the six"),
+    "fitness, variance": ("1-variance", "IPO has the lowest variance of the fitness of the six"),
+    "all": ("1-final", "IPO is first in the final ranking: sum of ranks over all statistics, time left out"),
+}
+"""Parts of the places of which the paper says that IPO is first; of the mean there is a claim against each rival."""
+PLACES, RANKING = "places.csv", "ranking.csv"
+FITNESS, FIRSTS, SHEET = "verdicts-fitness.csv", "verdicts-places.csv", "verdicts-data-sheet.csv"
+TABLES = (RANKING, PLACES, FITNESS, FIRSTS, SHEET)
+COLUMNS = "claim text origin reading stated_pct effect_pct runs ci_low ci_high p_value p_holm verdict".split()
+"""Of a table of verdicts, before the class."""
 
 
 def made(folder: Path) -> dict[str, str]:
@@ -169,6 +178,7 @@ def make(place: Place) -> None:
     write_csv(place.target / PLACES, table[["reading", *table.columns.drop("reading")]])
     write_csv(place.target / RANKING, side_by_side(table))
     write_csv(place.target / FITNESS, verdicts(found))
+    write_csv(place.target / FIRSTS, first_verdicts(table, list(found)))
     write_csv(place.target / SHEET, sheet_verdicts(place.target))
 
 
@@ -198,6 +208,25 @@ def side_by_side(table: pd.DataFrame) -> pd.DataFrame:
             row[entry["algorithm"]] = f"{entry['place']:g} ({entry['place_low']:g} to {entry['place_high']:g})"
         rows.append(row)
     return pd.DataFrame(rows)
+
+
+def first_verdicts(table: pd.DataFrame, readings: Sequence[Reading]) -> pd.DataFrame:
+    """Claim 1 on places: reproduced where the interval of IPO's place is the first alone, reversed where it leaves the first out."""
+    import pandas as pd
+
+    from testbed.scoring.verdicts import REPRODUCED, REVERSED, UNDECIDED
+
+    rows = []
+    own = table[table["algorithm"] == "ipo"].set_index(["part", "reading"])
+    for part, (number, text) in FIRST.items():
+        for reading in readings:
+            found = own.loc[(part, reading.name)]
+            verdict = REPRODUCED if found["place_high"] <= 1.0 else REVERSED if found["place_low"] > 1.0 else UNDECIDED
+            row = {"claim": number, "text": text, "origin": "paper", "reading": reading.name}
+            rows.append(row | {"runs": found["searches"], "verdict": verdict})
+    return classed(
+        pd.DataFrame(rows, columns=COLUMNS), {reading.name: dict(reading.conditions) for reading in readings}
+    )
 
 
 def sheet_verdicts(folder: Path) -> pd.DataFrame:
@@ -247,8 +276,7 @@ def judged(stated: Mapping[tuple[str, str], float | None], *measured: Measured) 
     """A row per claim ((id, text) to the stated per cent) and reading; Holm over the claims of a reading."""
     import pandas as pd
 
-    from testbed.scoring.claims import ClaimConfig, ReadingConfig
-    from testbed.scoring.readings import standing
+    from testbed.scoring.claims import ClaimConfig
     from testbed.scoring.verdicts import check_claims
 
     rows: list[dict[str, Any]] = []
@@ -263,14 +291,20 @@ def judged(stated: Mapping[tuple[str, str], float | None], *measured: Measured) 
             told = {"claim": row["id"], "text": row["text"], "origin": "paper", "reading": reading}
             told |= {"stated_pct": row["paper_pct"], "effect_pct": row["measured_pct"], "runs": row["n"]}
             rows.append(told | {key: row[key] for key in ("ci_low", "ci_high", "p_value", "p_holm", "verdict")})
-    columns = ["claim", "text", "origin", "reading", "stated_pct", "effect_pct", "runs", "ci_low", "ci_high", "p_value"]
-    out = pd.DataFrame(rows, columns=[*columns, "p_holm", "verdict"])
-    configs = [ReadingConfig(name=name, leaves_open="-", conditions=told) for name, told, *_ in measured[0]]
+    return classed(pd.DataFrame(rows, columns=COLUMNS), {name: told for name, told, *_ in measured[0]})
+
+
+def classed(verdicts: pd.DataFrame, conditions: Mapping[str, dict[str, str]]) -> pd.DataFrame:
+    """Verdicts with the class of each claim over its readings. ``conditions``: by reading."""
+    from testbed.scoring.claims import ReadingConfig
+    from testbed.scoring.readings import standing
+
+    configs = [ReadingConfig(name=name, leaves_open="-", conditions=told) for name, told in conditions.items()]
     classes = {
         claim: standing(configs, dict(zip(part["reading"], part["verdict"], strict=True))).word
-        for claim, part in out.groupby("claim")
+        for claim, part in verdicts.groupby("claim")
     }
-    return out.assign(**{"class": out["claim"].map(classes)})
+    return verdicts.assign(**{"class": verdicts["claim"].map(classes)})
 
 
 def printed_rows() -> list[Any]:

@@ -169,7 +169,7 @@ CLAIM_COLUMNS = ("id", "text", "paper_pct", "measured_pct", "ci_low", "ci_high",
 
 
 def verdict_parts(table: pd.DataFrame) -> list[str]:
-    """Claims down, readings across: effect, interval and verdict."""
+    """Claims down, readings across: effect, interval and verdict; of a claim without an effect the verdict alone."""
     from testbed.report.labels import percent
     from testbed.report.tables import Cell, Column, Table
 
@@ -182,6 +182,9 @@ def verdict_parts(table: pd.DataFrame) -> list[str]:
             if (row := by_reading.get(reading)) is None:
                 cells.append(Cell("–"))
                 continue
+            if row["effect_pct"] != row["effect_pct"]:
+                cells.append(Cell(row["verdict"]))
+                continue
             ends = " to ".join(percent(row[f"ci_{end}"]) for end in ("low", "high"))
             cells.append(Cell(f"{percent(row['effect_pct'])} ({ends}), {row['verdict']}"))
         rows.append((str(claim), cells))
@@ -189,6 +192,8 @@ def verdict_parts(table: pd.DataFrame) -> list[str]:
     runs = table.groupby("reading", sort=False)["runs"].max()
     counts = ", ".join(f"{reading} {count:g}" for reading, count in runs.items())
     note = f"Lower by, %, with the 95 % interval, and the verdict. Paired runs: {counts}."
+    if table["effect_pct"].isna().all():
+        note = f"Verdicts on places. Searches of each algorithm: {counts}."
     return ["### Verdicts", markdown(Table("verdicts", "", columns, rows, note, "Claim"))]
 
 

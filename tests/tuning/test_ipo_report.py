@@ -84,9 +84,32 @@ def test_claims_hang_on_the_box(report, tmp_path):
     places = pd.read_csv(tmp_path / ranks.PLACES).set_index(["reading", "part", "algorithm"])
     assert places.loc[("0 to 1, 100 iterations", "fitness, mean", "ipo"), "place_high"] == 1.0
     assert places.loc[("log, 100 iterations", "fitness, mean", "ipo"), "place_low"] == 6.0
+    firsts = pd.read_csv(tmp_path / ranks.FIRSTS).set_index(["claim", "reading"])
+    assert set(firsts["class"]) == {"depends on box"} and set(firsts.index.levels[0]) == {
+        "1-min",
+        "1-variance",
+        "1-final",
+    }
+    assert firsts.loc[("1-final", "log, 100 iterations"), "verdict"] == "reversed"
     own = pd.read_csv(tmp_path / ranks.SHEET).set_index("reading")
     assert own.loc["0 to 1, the flight searched", "verdict"] == "reproduced", "1 against 3"
     assert own.loc["log, unseen flights", "verdict"] == "reversed", "8 against 3"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"),
+    [(1.0, 1.0, "reproduced"), (1.0, 1.5, "undecided"), (1.0, 3.0, "undecided"), (1.5, 2.0, "reversed")],
+)
+def test_first_place_is_what_its_interval_says(report, low, high, verdict):
+    """A place is the first where the interval holds no other, and another where it does not hold the first."""
+    ranks = report["ipo_ranks"]
+    reading = ranks.READINGS[0]
+    lines = [
+        {"part": part, "reading": reading.name, "algorithm": a, "place_low": low, "place_high": high, "searches": 10}
+        for part in ranks.FIRST
+        for a in ranks.SIX
+    ]
+    assert set(ranks.first_verdicts(pd.DataFrame(lines), [reading])["verdict"]) == {verdict}
 
 
 def test_table_2_against_itself(report, tmp_path):
