@@ -152,9 +152,9 @@ FIRST = {
     "all": ("1-final", "IPO is first in the final ranking: sum of ranks over all statistics, time left out"),
 }
 """Parts of the places of which the paper says that IPO is first; of the mean there is a claim against each rival."""
-PLACES, RANKING = "places.csv", "ranking.csv"
+PLACES, RANKING, BESIDE = "places.csv", "ranking.csv", "table-2.csv"
 FITNESS, FIRSTS, SHEET = "verdicts-fitness.csv", "verdicts-places.csv", "verdicts-data-sheet.csv"
-TABLES = (RANKING, PLACES, FITNESS, FIRSTS, SHEET)
+TABLES = (BESIDE, RANKING, PLACES, FITNESS, FIRSTS, SHEET)
 COLUMNS = "claim text origin reading stated_pct effect_pct runs ci_low ci_high p_value p_holm verdict".split()
 """Of a table of verdicts, before the class."""
 
@@ -177,6 +177,7 @@ def make(place: Place) -> None:
     table = pd.concat(tables, ignore_index=True)
     write_csv(place.target / PLACES, table[["reading", *table.columns.drop("reading")]])
     write_csv(place.target / RANKING, side_by_side(table))
+    write_csv(place.target / BESIDE, beside_printed(found))
     write_csv(place.target / FITNESS, verdicts(found))
     write_csv(place.target / FIRSTS, first_verdicts(table, list(found)))
     write_csv(place.target / SHEET, sheet_verdicts(place.target))
@@ -208,6 +209,34 @@ def side_by_side(table: pd.DataFrame) -> pd.DataFrame:
             row[entry["algorithm"]] = f"{entry['place']:g} ({entry['place_low']:g} to {entry['place_high']:g})"
         rows.append(row)
     return pd.DataFrame(rows)
+
+
+def beside_printed(found: Mapping[Reading, pd.DataFrame]) -> pd.DataFrame:
+    """Table 2: each printed row of fitness and RMSE (degrees; time left out), and below it the same of our searches by reading."""
+    import pandas as pd
+
+    from testbed.tuning.tables import statistic_rows
+
+    ours = {
+        reading.name: statistic_rows(rows[_scored(rows)].rename(columns={"best": "fitness"}), SIX)
+        for reading, rows in found.items()
+    }
+    out = []
+    for row in printed_rows():
+        key = {"quantity": row.quantity, "statistic": row.statistic}
+        told = {
+            name: table.loc[(row.quantity, row.statistic)]
+            for name, table in ours.items()
+            if tuple(key.values()) in table.index
+        }
+        out += [key | {"source": "paper"} | {a: row.values[a] for a in SIX}] if told else []
+        out += [key | {"source": name} | values.to_dict() for name, values in told.items()]
+    return pd.DataFrame(out, columns=["quantity", "statistic", "source", *SIX])
+
+
+def _scored(rows: pd.DataFrame) -> list[str]:
+    """The columns of searches that Table 2 is about."""
+    return ["algorithm", "best", *(name for name in rows.columns if name.startswith(CASES))]
 
 
 def first_verdicts(table: pd.DataFrame, readings: Sequence[Reading]) -> pd.DataFrame:

@@ -84,6 +84,10 @@ def test_claims_hang_on_the_box(report, tmp_path):
     places = pd.read_csv(tmp_path / ranks.PLACES).set_index(["reading", "part", "algorithm"])
     assert places.loc[("0 to 1, 100 iterations", "fitness, mean", "ipo"), "place_high"] == 1.0
     assert places.loc[("log, 100 iterations", "fitness, mean", "ipo"), "place_low"] == 6.0
+    beside = pd.read_csv(tmp_path / ranks.BESIDE).set_index(["quantity", "statistic", "source"])
+    assert beside.loc[("ADIS16405:rmse_roll_deg", "mean", "paper"), "ipo"] == 5.48
+    assert beside.loc[("fitness", "mean", "log, 100 iterations"), "pso"] == pytest.approx(2.0, rel=0.02)
+    assert set(beside.index.levels[0]) == {"fitness", "ADIS16405:rmse_roll_deg", "ADIS16488:rmse_roll_deg"}
     firsts = pd.read_csv(tmp_path / ranks.FIRSTS).set_index(["claim", "reading"])
     assert set(firsts["class"]) == {"depends on box"} and set(firsts.index.levels[0]) == {
         "1-min",
