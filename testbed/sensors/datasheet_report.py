@@ -53,7 +53,8 @@ def write_report(folder: Path, duration_s: float = DURATION_S, first_seed: int =
     import pandas as pd
 
     folder.mkdir(parents=True, exist_ok=True)
-    tables, plots = [], []
+    tables: list[pd.DataFrame] = []
+    plots: list[str] = []
     for model in list_sensors()["imu"]:
         rate = catalog.entry("imu", model).get("rate_hz")
         if rate is None:  # ideal: nothing to fit
