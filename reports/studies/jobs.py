@@ -192,10 +192,14 @@ def runs(
     setting: Setting = Setting(),
     figures: Sequence[str] = (),
     metrics: Sequence[str] = (),
+    windows: Sequence[str] = (),
     claims: bool = True,
     **texts: Any,
 ) -> Job:
-    """One Monte Carlo as a job: leaves ``NAME-comparison.csv``, ``NAME-claims.csv`` unless there are no ``claims``, and timings."""
+    """One Monte Carlo as a job: leaves ``NAME-comparison.csv``, ``NAME-claims.csv`` unless there are no ``claims``, and timings.
+
+    ``metrics`` and ``windows``: to compare beside those that the scenario's claims and tables name.
+    """
 
     def make(place: Place) -> None:
         from testbed.montecarlo.runner import run
@@ -208,7 +212,7 @@ def runs(
         keep_page(place.work, place.pages)
         if claims:
             write_csv(place.target / f"{name}-claims.csv", read_table(place.work / "claims.csv"))
-        keep_comparison(scenario, {"": place.work}, place.target, f"{name}-", metrics)
+        keep_comparison(scenario, {"": place.work}, place.target, f"{name}-", metrics, windows)
         for stem in figures:
             keep_figure(place.work, stem, place.target, f"{name}-{stem}")
 
@@ -219,7 +223,7 @@ def runs(
         (*([f"{name}-claims.csv"] if claims else []), f"{name}-comparison.csv"),
         tuple(f"{name}-{stem}" for stem in figures),
         (f"{name}-timings.csv",),
-        inputs=lambda paper: [runs, list(metrics), setting.inputs(paper, False)],
+        inputs=lambda paper: [runs, list(metrics), *([list(windows)] if windows else []), setting.inputs(paper, False)],
         setting=setting,
         **texts,
     )
@@ -244,9 +248,14 @@ def study(
 
 
 def keep_comparison(
-    base: Scenario, folders: Mapping[str, Path], target: Path, before: str, more: Sequence[str] = ()
+    base: Scenario,
+    folders: Mapping[str, Path],
+    target: Path,
+    before: str,
+    more: Sequence[str] = (),
+    more_windows: Sequence[str] = (),
 ) -> None:
-    """``comparison.csv`` and ``timings.csv`` of results, by reading; the metrics that claims and tables name, and attitude."""
+    """``comparison.csv`` and ``timings.csv`` of results, by reading; the metrics and windows that claims and tables name, and attitude."""
     import pandas as pd
 
     from testbed.scoring.quantities import TIME_METRIC
@@ -255,7 +264,7 @@ def keep_comparison(
     rows = [(table, row) for table in base.tables for row in table.rows]
     named = [*(row.metric for _, row in rows), *(c.metric for c in claims), *more, "rmse_attitude_deg"]
     metrics = [m for m in dict.fromkeys(named) if m not in (TIME_METRIC, "seconds")]
-    windows = {"all", *(c.window for c in claims), *(row.window or table.window for table, row in rows)}
+    windows = {"all", *more_windows, *(c.window for c in claims), *(row.window or table.window for table, row in rows)}
     compared, timed = [], []
     for reading, folder in folders.items():
         summary = read_table(folder / "summary.csv")

@@ -65,12 +65,13 @@ PAPER = Paper(
         ),
         runs(
             "regressors",
-            minutes=4,
+            minutes=1,
             runs=30,
             setting=Setting("regressors"),
+            metrics=("rmse_position_3d_m",),
+            windows=("outages",),
             claims=False,
             title="Other regressors than the network",
-            long=True,
         ),
     ),
 )
