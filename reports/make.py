@@ -75,7 +75,7 @@ def sensors(place: Place) -> None:
     write_report(place.target, DURATION_S / 10.0 if place.trial else DURATION_S)
 
 
-SENSORS = Paper("sensors", "IMUs of the catalogue at rest", (study("allan", sensors, 3.0, ("allan.csv", "README.md")),))
+SENSORS = Paper("sensors", "IMUs of the catalogue at rest", (study("allan", sensors, 2.0, ("allan.csv", "README.md")),))
 
 
 def is_wanted(paper: Paper, job: Job, options: argparse.Namespace) -> bool:
