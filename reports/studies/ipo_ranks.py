@@ -218,8 +218,7 @@ def beside_printed(found: Mapping[Reading, pd.DataFrame]) -> pd.DataFrame:
     from testbed.tuning.tables import statistic_rows
 
     ours = {
-        reading.name: statistic_rows(rows[_scored(rows)].rename(columns={"best": "fitness"}), SIX)
-        for reading, rows in found.items()
+        reading.name: statistic_rows(rows.rename(columns={"best": "fitness"}), SIX) for reading, rows in found.items()
     }
     out = []
     for row in printed_rows():
@@ -232,11 +231,6 @@ def beside_printed(found: Mapping[Reading, pd.DataFrame]) -> pd.DataFrame:
         out += [key | {"source": "paper"} | {a: row.values[a] for a in SIX}] if told else []
         out += [key | {"source": name} | values.to_dict() for name, values in told.items()]
     return pd.DataFrame(out, columns=["quantity", "statistic", "source", *SIX])
-
-
-def _scored(rows: pd.DataFrame) -> list[str]:
-    """The columns of searches that Table 2 is about."""
-    return ["algorithm", "best", *(name for name in rows.columns if name.startswith(CASES))]
 
 
 def first_verdicts(table: pd.DataFrame, readings: Sequence[Reading]) -> pd.DataFrame:
