@@ -324,7 +324,7 @@ def write_html(paper: Paper, folder: Path, pages: Path, text: str, commit: str, 
     lines = [f"- {name}: `{entry['commit']}`, {entry['minutes']:.1f} minutes" for name, entry in made.items()]
     body = text.split("\n", 1)[1] + f"\n## Commits\n\nThis page: `{commit}`. Its tables:\n\n" + "\n".join(lines) + "\n"
     kind = f"Navigation testbed, commit {commit}"
-    (pages / "report.html").write_text(html.document(paper.title, kind, paper.source, body, folder))
+    (pages / "report.html").write_text(html.document(paper.title, kind, "", body, folder))
     for path in folder.iterdir():
         if path.suffix in (".csv", ".md", ".json"):
             shutil.copy(path, pages / path.name)
