@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parent
 for place in (ROOT / "studies", ROOT):
     sys.path.insert(0, str(place))
 
+import testbed  # noqa: E402, F401, I001 (before numpy: it chooses the kind of linear algebra)
 import index  # noqa: E402
 import pages  # noqa: E402
 import pictures  # noqa: E402

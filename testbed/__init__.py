@@ -20,7 +20,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from testbed import kernel_cache
-from testbed.base import old_names
+from testbed.base import linear_algebra, old_names
 
 if TYPE_CHECKING:
     from testbed.base.errors import FlightError, InputError, TestbedError
@@ -70,6 +70,7 @@ __all__ = [
 ]
 
 
+linear_algebra.choose_kernels()
 kernel_cache.use_folder()
 old_names.keep()
 
