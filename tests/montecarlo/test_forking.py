@@ -66,8 +66,9 @@ def test_no_copy_is_made_with_a_library_whose_threads_would_not_live_on(monkeypa
 
 
 WAITING = """
-import sys, time
+import signal, sys, time
 from pathlib import Path
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background of a shell begins with it ignored
 from testbed.base.child_processes import share
 def wait(name):
     Path(sys.argv[1], name).touch()
