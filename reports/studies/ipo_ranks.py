@@ -140,12 +140,12 @@ SHEETS = tuple(
     row
     for box, name, recorded in ((PAPER_BOX, "box-100-ipo", "navego-box"), (LOG_BOX, "log-100-ipo", "navego-log"))
     for row in (
-        (box, "the flight searched", name, "train", "data-sheet.csv", "train"),
-        (box, "unseen flights", name, "test", "data-sheet.csv", "test"),
-        (box, "NaveGo recording", recorded, "train", "navego-data-sheet.csv", "train"),
+        (box, "the errors searched", name, "train", "data-sheet.csv", "train"),
+        (box, "unseen errors", name, "test", "data-sheet.csv", "test"),
+        (box, "NaveGo's simulated run", recorded, "train", "navego-data-sheet.csv", "train"),
     )
 )
-"""Box, flight, job of the searches, their column, table of the data sheet's settings, and which runs of it."""
+"""Box, errors of the sensors, job of the searches, their column, table of the data sheet's settings, and which runs of it."""
 FIRST = {
     "fitness, min": ("1-min", "IPO has the lowest minimum of the fitness of the six"),
     "fitness, variance": ("1-variance", "IPO has the lowest variance of the fitness of the six"),
@@ -253,9 +253,9 @@ def first_verdicts(table: pd.DataFrame, readings: Sequence[Reading]) -> pd.DataF
 
 
 def sheet_verdicts(folder: Path) -> pd.DataFrame:
-    """Claim 2, what IPO finds against the data sheet's own settings: on the flight that it searched, on others, on a recording.
+    """Claim 2, what IPO finds against the data sheet's own settings: on the draw of errors that it searched, on others, on NaveGo's.
 
-    Replicates are searches; how far the unseen flights scatter stands in each search's own row.
+    Replicates are searches; how far the unseen draws scatter stands in each search's own row.
     """
     import numpy as np
 
@@ -264,15 +264,15 @@ def sheet_verdicts(folder: Path) -> pd.DataFrame:
         "settings that IPO finds have a lower sum of RMSE than those of the data sheet (mean over searches)",
     )
     measured = []
-    for box, flight, part, column, sheet, which in SHEETS:
+    for box, errors, part, column, sheet, which in SHEETS:
         paths = folder / f"searches-{part}.csv", folder / sheet
         if not all(path.is_file() for path in paths):
             continue
         table, own = (read_table(path) for path in paths)
         values = table.loc[table["algorithm"] == "ipo", column].to_numpy()
         base = own.loc[(own["row"] == "data-sheet") & (own["set"] == which), "sum"].sum()
-        conditions = {"box": box, "flight": flight}
-        measured.append((f"{SHORT[box]}, {flight}", conditions, values, np.full(len(values), base)))
+        conditions = {"box": box, "errors": errors}
+        measured.append((f"{SHORT[box]}, {errors}", conditions, values, np.full(len(values), base)))
     return judged({claim: None}, measured)
 
 

@@ -66,7 +66,7 @@ def objective_of(variant: str | None) -> Any:
 
 
 def make_baseline(place: Place) -> None:
-    """``data-sheet.csv``: the sensors' own settings and the fixes alone, on the flight of the searches and on the unseen ones.
+    """``data-sheet.csv``: the sensors' own settings and the fixes alone, with the errors of the searches and with unseen ones.
 
     ``diagonals.csv``: what the sheet has for the 18 entries that are searched, in the units of the filter.
     """

@@ -46,8 +46,8 @@ PAPER = Paper(
             *("data-sheet", ipo_rounding.make_baseline, 3.0, ("data-sheet.csv", "diagonals.csv")),
             scenarios=(Setting(), Setting("ADIS16488")),
             title="The sensors' own settings",
-            note="RMSE in m, m/s and degrees, mean over the runs: run 0 is the flight of the searches (train), 1 to 20 are"
-            " unseen (test). Then the 18 entries that are searched, as the sheet has them: variances of R, densities of Q.",
+            note="RMSE in m, m/s and degrees, mean over the runs: run 0 is that of the searches (train), 1 to 20 are the"
+            " same path with other errors (test). Then the 18 entries that are searched, as the sheet has them: variances of R, densities of Q.",
         ),
         study(
             *("printed", ipo_ranks.make_printed, 1.0, ("printed.csv", "verdicts-printed.csv")),

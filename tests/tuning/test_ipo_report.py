@@ -96,8 +96,8 @@ def test_claims_hang_on_the_box(report, tmp_path):
     }
     assert firsts.loc[("1-final", "log, 100 iterations"), "verdict"] == "reversed"
     own = pd.read_csv(tmp_path / ranks.SHEET).set_index("reading")
-    assert own.loc["0 to 1, the flight searched", "verdict"] == "reproduced", "1 against 3"
-    assert own.loc["log, unseen flights", "verdict"] == "reversed", "8 against 3"
+    assert own.loc["0 to 1, the errors searched", "verdict"] == "reproduced", "1 against 3"
+    assert own.loc["log, unseen errors", "verdict"] == "reversed", "8 against 3"
 
 
 @pytest.mark.parametrize(
