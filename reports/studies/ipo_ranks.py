@@ -142,7 +142,7 @@ SHEETS = tuple(
     for row in (
         (box, "the errors searched", name, "train", "data-sheet.csv", "train"),
         (box, "unseen errors", name, "test", "data-sheet.csv", "test"),
-        (box, "NaveGo's simulated run", recorded, "train", "navego-data-sheet.csv", "train"),
+        (box, "NaveGo simulation", recorded, "train", "navego-data-sheet.csv", "train"),
     )
 )
 """Box, errors of the sensors, job of the searches, their column, table of the data sheet's settings, and which runs of it."""
