@@ -12,41 +12,39 @@ import pytest
 from testbed.base import linear_algebra as kind
 
 KINDS = (
-    "import threadpoolctl, scipy.linalg; "
-    "print(*{p['architecture'] for p in threadpoolctl.threadpool_info() if p['internal_api'] == 'openblas'})"
+    "import os, threadpoolctl, scipy.linalg; "
+    "print(*{p['architecture'] for p in threadpoolctl.threadpool_info() if p['internal_api'] == 'openblas'}, "
+    "os.environ.get('OPENBLAS_CORETYPE'))"
 )
+"""Prints the kinds of OpenBLAS that are loaded, and which one was asked for."""
+WORKER = (
+    f"import subprocess, sys; subprocess.run([sys.executable, '-c', {f'import testbed, numpy; {KINDS}'!r}], check=True)"
+)
+needs_avx2 = pytest.mark.skipif(not kind.has_avx2(), reason="needs Linux on an x86 processor with AVX2")
 
 
-def kinds(code: str, **variables: str) -> list[str]:
-    """Kinds of OpenBLAS in a new process after the statements."""
+def kinds(*statements: str, **variables: str) -> list[list[str]]:
+    """What a new process prints, and its worker, as words of each line."""
     environment = {key: value for key, value in os.environ.items() if key not in (kind.VARIABLE, kind.MARK)} | variables
-    done = subprocess.run(
-        [sys.executable, "-c", f"{code}; {KINDS}"], capture_output=True, text=True, env=environment, check=True
-    )
-    return done.stdout.split()
+    command = [sys.executable, "-u", "-c", "; ".join(statements)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    return [line.split() for line in done.stdout.splitlines()]
 
 
-@pytest.mark.skipif(not kind.has_avx2(), reason="needs Linux on an x86 processor with AVX2")
-def test_numpy_and_scipy_compute_by_the_kind_for_avx2() -> None:
-    assert kinds("import testbed, numpy") == ["Haswell"]
+@needs_avx2
+def test_numpy_and_scipy_compute_by_the_kind_for_avx2_in_workers_too() -> None:
+    assert kinds("import testbed, numpy", KINDS, WORKER) == [["Haswell", "Haswell"]] * 2
 
 
-@pytest.mark.skipif(not kind.has_avx2(), reason="needs Linux on an x86 processor with AVX2")
+@needs_avx2
 def test_the_users_kind_is_kept() -> None:
-    assert kinds("import testbed, numpy", OPENBLAS_CORETYPE="Sandybridge") == ["Sandybridge"]
+    assert kinds("import testbed, numpy", KINDS, OPENBLAS_CORETYPE="Sandybridge") == [["Sandybridge", "Sandybridge"]]
 
 
-@pytest.mark.skipif(not kind.has_avx2(), reason="needs Linux on an x86 processor with AVX2")
+@needs_avx2
 def test_a_worker_computes_as_a_parent_that_loaded_numpy_first() -> None:
-    worker = "import subprocess, sys; print(subprocess.check_output([sys.executable, '-c', sys.argv[1]], text=True))"
-    environment = {key: value for key, value in os.environ.items() if key not in (kind.VARIABLE, kind.MARK)}
-    code = f"import numpy, testbed; {KINDS}; {worker}"
-    child = f"import testbed, numpy; {KINDS}"
-    done = subprocess.run(
-        [sys.executable, "-c", code, child], capture_output=True, text=True, env=environment, check=True
-    )
-    parent, other = done.stdout.split()
-    assert parent == other
+    parent, worker = kinds("import numpy, testbed", KINDS, WORKER)
+    assert parent == worker and parent[1] == "None"
 
 
 def test_a_processor_without_avx2_or_of_another_system_is_left_alone(

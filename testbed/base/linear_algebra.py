@@ -2,7 +2,8 @@
 
 OpenBLAS, which numpy and scipy carry, chooses its kernels by the processor, and kernels differ in the order in which they add.
 That is parts in 1e16 of a product, parts in 1e11 of most metrics, and the third digit where a filter runs away. So the
-kernels for AVX2 are asked for, which x86 processors have had since 2013; wider ones gain nothing on matrices of 15 rows.
+kernels for AVX2 are asked for, which x86 processors have had since 2013. Wider ones gain nothing on matrices of 15 rows
+(12 runs of ``imm-rstekf-2023``, three times in turn: 6.0 to 7.3 s with these, 6.2 to 6.4 s with those for AVX-512).
 """
 
 from __future__ import annotations
