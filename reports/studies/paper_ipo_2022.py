@@ -87,8 +87,8 @@ PAPER = Paper(
             Part(name, algorithms, name, iterations=iterations, seeds=(1,)).job(minutes)
             for name, algorithms, iterations, minutes in (
                 ("six-scales", ("ipo", "cma-es"), 100, 15.0),
-                ("six-scales-five-flights", ("cma-es",), 30, 15.0),
-                ("five-flights", ("cma-es",), 30, 15.0),
+                ("six-scales-five-draws", ("cma-es",), 30, 15.0),
+                ("five-draws", ("cma-es",), 30, 15.0),
                 ("all-errors", ("cma-es",), 30, 15.0),
             )
         ),
