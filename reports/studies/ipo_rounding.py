@@ -77,15 +77,19 @@ def make_baseline(place: Place) -> None:
 
 
 def make_recorded(place: Place) -> None:
-    """``navego-data-sheet.csv``: the same on the toolbox's recording, where its folder is named."""
+    """``navego-data-sheet.csv``: the same on the toolbox's recording, where its folder is named, from two starts."""
+    import pandas as pd
+
     from testbed.scenario import load_scenario
+    from testbed.tuning.config import DATA_SHEET
 
     if RECORDING not in os.environ:
         raise Kept(f"the environment variable {RECORDING} names no folder with the recording")
-    overrides = {"recording.dir": os.environ[RECORDING]}
-    write_csv(
-        place.target / "navego-data-sheet.csv", scored(load_scenario(SCENARIO, variant="navego", overrides=overrides))
-    )
+    folder = {"recording.dir": os.environ[RECORDING]}
+    fixes = folder | {"recording.initial.start": "gnss"}
+    own, other = (scored(load_scenario(SCENARIO, variant="navego", overrides=o)) for o in (folder, fixes))
+    other = other[other["row"] == DATA_SHEET].assign(row=f"{DATA_SHEET}, started from the fixes")
+    write_csv(place.target / "navego-data-sheet.csv", pd.concat([own, other]))
 
 
 def scored(scenario: Any, unseen: list[int] | None = None) -> pd.DataFrame:
