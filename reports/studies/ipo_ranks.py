@@ -34,6 +34,8 @@ class Reading:
     parts: Mapping[str, str]
     seeds: int
     """How many, from 1 on."""
+    beside: str | None = None
+    """A job without whose searches this reading says nothing new, so that it is left out too."""
 
     def table_of(self, algorithm: str) -> str:
         """The file with its searches."""
@@ -44,6 +46,8 @@ class Reading:
         """The searches of the six, or None where some are not made."""
         import pandas as pd
 
+        if self.beside is not None and not (folder / f"searches-{self.beside}.csv").is_file():
+            return None
         found = []
         for algorithm in SIX:
             path = folder / self.table_of(algorithm)
@@ -62,7 +66,7 @@ def group(algorithm: str) -> str:
 PAPER_BOX, LOG_BOX = "0 to 1", "three decades either way of the data sheet"
 
 
-def reading(name: str, parts: Mapping[str, str], seeds: int = TEN, **told: str) -> Reading:
+def reading(name: str, parts: Mapping[str, str], seeds: int = TEN, beside: str | None = None, **told: str) -> Reading:
     """What leaves all open points as in the first reading, but for ``told``."""
     usual = {
         "box": PAPER_BOX,
@@ -72,12 +76,12 @@ def reading(name: str, parts: Mapping[str, str], seeds: int = TEN, **told: str) 
         "IIPO": "F 1, beta 2",
         "seeds": f"1 to {seeds}",
     }
-    return Reading(name, usual | {key.replace("_", " "): value for key, value in told.items()}, parts, seeds)
+    return Reading(name, usual | {key.replace("_", " "): value for key, value in told.items()}, parts, seeds, beside)
 
 
 READINGS = (
     reading("0 to 1, 100 iterations", {"": "box-100"}),
-    reading("0 to 1, 100 iterations, seeds 1 to 3", {"": "box-100"}, seeds=THREE),
+    reading("0 to 1, 100 iterations, seeds 1 to 3", {"": "box-100"}, seeds=THREE, beside="box-200-ipo"),
     reading("0 to 1, 200 iterations", {"": "box-200"}, seeds=THREE, iterations="200"),
     reading(
         "0 to 1, eq. 7 as printed",
@@ -91,7 +95,7 @@ READINGS = (
     ),
     reading("0 to 1, IIPO as its scan reads", {"": "box-100", "iipo": "box-100-iipo-scan"}, IIPO="F 2, beta 1.75"),
     reading("log, 100 iterations", {"": "log-100"}, box=LOG_BOX),
-    reading("log, 100 iterations, seeds 1 to 3", {"": "log-100"}, seeds=THREE, box=LOG_BOX),
+    reading("log, 100 iterations, seeds 1 to 3", {"": "log-100"}, seeds=THREE, beside="log-200-ipo", box=LOG_BOX),
     reading("log, 200 iterations", {"": "log-200"}, seeds=THREE, box=LOG_BOX, iterations="200"),
 )
 """Those of 200 iterations have three seeds, so the same three stand at 100 too: what differs from ten seeds is not the length's doing."""
