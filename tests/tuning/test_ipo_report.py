@@ -87,7 +87,11 @@ def test_claims_hang_on_the_box(report, tmp_path):
     beside = pd.read_csv(tmp_path / ranks.BESIDE).set_index(["quantity", "statistic", "source"])
     assert beside.loc[("ADIS16405:rmse_roll_deg", "mean", "paper"), "ipo"] == 5.48
     assert beside.loc[("fitness", "mean", "log, 100 iterations"), "pso"] == pytest.approx(2.0, rel=0.02)
-    assert set(beside.index.levels[0]) == {"fitness", "ADIS16405:rmse_roll_deg", "ADIS16488:rmse_roll_deg"}
+    assert set(beside.index.levels[0]) == {"fitness", "ADIS16405:rmse_roll_deg", "ADIS16488:rmse_roll_deg", "rank"}
+    assert beside.loc[("rank", "mean", "paper"), "mipo"] == pytest.approx(492 / 128), "the specification's figure"
+    assert beside.loc[("rank", "mean", "0 to 1, 100 iterations"), "ipo"] < 2.0, (
+        "first in all but variances, which are chance"
+    )
     firsts = pd.read_csv(tmp_path / ranks.FIRSTS).set_index(["claim", "reading"])
     assert set(firsts["class"]) == {"depends on box"} and set(firsts.index.levels[0]) == {
         "1-min",
@@ -122,8 +126,38 @@ def test_table_2_against_itself(report, tmp_path):
     table = pd.read_csv(tmp_path / "printed.csv").set_index("algorithm")
     assert table.loc["ipo", "attitude_rmse_sum_deg"] == pytest.approx(63.53)
     assert (table["times"] > 3.0).all() and (table["terms"] == 6).all()
-    (claim,) = pd.read_csv(tmp_path / "verdicts-printed.csv").to_dict("records")
-    assert claim["class"] == "source inconsistent"
+    claims = pd.read_csv(tmp_path / "verdicts-printed.csv").set_index("claim")
+    assert claims["class"].to_dict() == {"1-printed": "source inconsistent", "3-hours": "not tested"}
+    assert "11.2 to 83.6 hours" in claims.loc["3-hours", "text"]
+
+
+def test_a_length_is_compared_on_its_own_seeds(report, tmp_path):
+    """Searches of 200 iterations have three seeds. Where only these three differ from the ten, the class names the seeds and no length."""
+    rng, ranks = np.random.default_rng(1), report["ipo_ranks"]
+    scatter = {a: 1.0 + 0.01 * rng.standard_normal(10) for a in ranks.SIX}
+    ten = {a: 4.0 * scatter[a] for a in ranks.SIX}
+    # lower by 75 % with the first three seeds, at both lengths, and by 40 % with all ten
+    ten["ipo"] = np.array([1.0, 1.0, 1.0, *[3.0] * 7]) * scatter["ipo"]
+    write_searches(tmp_path, "box-100", ten)
+    folder = place(report, tmp_path)
+    sheet = [{"row": "data-sheet", "set": which, "case": "a", "sum": 1.5} for which in ("train", "test")]
+    pd.DataFrame(sheet).to_csv(tmp_path / "data-sheet.csv", index=False)
+    ranks.make(folder)
+    assert set(pd.read_csv(tmp_path / ranks.FITNESS)["reading"]) == {"0 to 1, 100 iterations"}, (
+        "alone it says nothing new"
+    )
+    write_searches(tmp_path, "box-200", {a: values[:3] for a, values in ten.items()}, iterations=200)
+    ranks.make(folder)
+    table = pd.read_csv(tmp_path / ranks.FITNESS).set_index(["claim", "reading"])
+    runs = table.loc["1-sipo", "runs"].to_dict()
+    assert runs == {
+        "0 to 1, 100 iterations": 10,
+        "0 to 1, 100 iterations, seeds 1 to 3": 3,
+        "0 to 1, 200 iterations": 3,
+    }
+    one, other = (table.loc[("1-ga", name), "effect_pct"] for name in list(runs)[1:])
+    assert one == other == pytest.approx(75.0, abs=1.0)
+    assert set(table.loc["1-ga", "class"]) == {"depends on seeds"}, "62 % are stated"
 
 
 def test_every_reading_has_its_jobs(report):
