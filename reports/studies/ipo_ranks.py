@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ipo_searches import TEN, THREE
 from jobs import Place, read_table, write_csv
 
 if TYPE_CHECKING:
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 SIX = ("ipo", "pso", "sipo", "ga", "iipo", "mipo")
 """In the order of the paper's final ranking."""
 CASES = ("ADIS16405", "ADIS16488")
-TEN, THREE = 10, 3
-"""Searches of an algorithm: seeds from 1 on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +31,7 @@ class Reading:
     name: str
     conditions: Mapping[str, str]
     parts: Mapping[str, str]
-    seeds: int
-    """How many, from 1 on."""
+    seeds: tuple[int, ...]
     beside: str | None = None
     """A job without whose searches this reading says nothing new, so that it is left out too."""
 
@@ -54,7 +52,7 @@ class Reading:
             if not path.is_file():
                 return None
             table = read_table(path)
-            found.append(table[(table["algorithm"] == algorithm) & (table["seed"] <= self.seeds)])
+            found.append(table[(table["algorithm"] == algorithm) & table["seed"].isin(self.seeds)])
         return pd.concat(found, ignore_index=True)
 
 
@@ -66,7 +64,9 @@ def group(algorithm: str) -> str:
 PAPER_BOX, LOG_BOX = "0 to 1", "three decades either way of the data sheet"
 
 
-def reading(name: str, parts: Mapping[str, str], seeds: int = TEN, beside: str | None = None, **told: str) -> Reading:
+def reading(
+    name: str, parts: Mapping[str, str], seeds: tuple[int, ...] = TEN, beside: str | None = None, **told: str
+) -> Reading:
     """What leaves all open points as in the first reading, but for ``told``."""
     usual = {
         "box": PAPER_BOX,
@@ -74,7 +74,7 @@ def reading(name: str, parts: Mapping[str, str], seeds: int = TEN, beside: str |
         "equation 7": "with x_i",
         "planes": "of better agents",
         "IIPO": "F 1, beta 2",
-        "seeds": f"1 to {seeds}",
+        "seeds": f"{seeds[0]} to {seeds[-1]}",
     }
     return Reading(name, usual | {key.replace("_", " "): value for key, value in told.items()}, parts, seeds, beside)
 
