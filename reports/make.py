@@ -76,7 +76,19 @@ def sensors(place: Place) -> None:
     write_report(place.target, DURATION_S / 10.0 if place.trial else DURATION_S)
 
 
-SENSORS = Paper("sensors", "IMUs of the catalogue at rest", (study("allan", sensors, 2.0, ("allan.csv", "README.md")),))
+def catalogue(_paper: str) -> list[Any]:
+    """What the table of `sensors` follows from: the length, the seed of the first, and every entry."""
+    from testbed.sensors import catalog, datasheet_report, list_sensors
+
+    entries = [catalog.entry("imu", model) for model in list_sensors()["imu"]]
+    return [datasheet_report.DURATION_S, datasheet_report.FIRST_SEED, entries]
+
+
+SENSORS = Paper(
+    "sensors",
+    "IMUs of the catalogue at rest",
+    (Job("allan", 2.0, sensors, ("allan.csv", "README.md"), inputs=catalogue),),
+)
 
 
 def is_wanted(paper: Paper, job: Job, options: argparse.Namespace) -> bool:

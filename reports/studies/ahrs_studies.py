@@ -6,6 +6,7 @@ Each study is a job of `paper_ahrs_lstm_2022`; a trial flies ten minutes instead
 from __future__ import annotations
 
 import csv
+import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,6 +53,13 @@ def phases_of(place: Place) -> dict[str, tuple[float, float]]:
 def rest_s(place: Place) -> float:
     """How long the sensors lie on the bench."""
     return TRIAL_ALLAN_S if place.trial else ALLAN_S
+
+
+def learned(_paper: str) -> str:
+    """Checksum of the shipped weights, which carry their learning curve."""
+    from estimators.learning.ahrs_weights import BY_NAME
+
+    return hashlib.sha256(BY_NAME[""].read_bytes()).hexdigest()[:16]
 
 
 def learning_curve(place: Place) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ahrs_end_to_end as end_to_end
 import ahrs_filters
 import ahrs_studies
-from jobs import Paper, Setting, runs, study
+from jobs import Job, Paper, Setting, runs, study
 
 METRICS = ("rmse_roll_deg", "rmse_pitch_deg", "nees_attitude")
 TRAININGS = [end_to_end.SEEDS, end_to_end.NOISE_SEEDS, end_to_end.REST_SEEDS, end_to_end.ELSEWHERE_SEEDS]
@@ -43,8 +43,9 @@ PAPER = Paper(
             scenarios=(Setting(),),
             title="Cruise and loiter of one run",
         ),
-        study(
-            *("learning-curve", ahrs_studies.learning_curve, 1.0, ("learning-curve.csv",), ("learning-curve",)),
+        Job(
+            *("learning-curve", 1.0, ahrs_studies.learning_curve, ("learning-curve.csv",), ("learning-curve",)),
+            inputs=ahrs_studies.learned,
             linked=("learning-curve.csv",),
             title="Learning curve of the shipped weights",
         ),

@@ -69,6 +69,22 @@ def test_a_job_is_kept_until_its_table_or_its_inputs_change(scripts, tmp_path, p
     assert note["commit"] == "abc" and set(note) == {"commit", "inputs", "minutes", "files"}
 
 
+def test_a_table_hangs_on_the_catalogue_and_on_the_weights(scripts, monkeypatch, tmp_path):
+    """Neither stands in a scenario, so that a change of either would go unseen."""
+    import ahrs_studies
+
+    from estimators.learning import ahrs_weights
+    from testbed.sensors import catalog
+
+    known = [scripts.catalogue(""), ahrs_studies.learned("")]
+    other = tmp_path / "other.safetensors"
+    other.write_bytes(b"other")
+    monkeypatch.setitem(ahrs_weights.BY_NAME, "", other)
+    monkeypatch.setattr(catalog, "entry", lambda kind, model: {"model": model})
+    assert scripts.catalogue("") != known[0]
+    assert ahrs_studies.learned("") != known[1]
+
+
 def test_a_job_that_leaves_no_table_is_not_noted(scripts, tmp_path):
     lazy = scripts.Paper("p", "P", (scripts.study("lazy", lambda place: None, 1.0, ("t.csv",)),))
     with pytest.raises(SystemExit, match=r"p/lazy: left no t\.csv"):
