@@ -5,6 +5,7 @@ An estimator is any class with a ``name`` and ``run(log) -> NavSolution``; its c
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import importlib.util
 import inspect
@@ -14,12 +15,17 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from testbed.base.errors import OWN, InputError, nearest, shown
 from testbed.data.estimator import Estimator
 
+if TYPE_CHECKING:
+    from testbed.data.records import SensorLog
+
 GROUP = "testbed.estimators"
+SHIPPED = "estimators"
+"""The package of those that ship."""
 
 
 _plugins: dict[str, type] = {}
@@ -59,6 +65,12 @@ def make_estimator(name: str, **params: Any) -> Estimator:
     except (TypeError, ValueError) as error:
         raise InputError(f"estimator '{name}': {error}") from None
     return made
+
+
+def log_for(estimator: Estimator, log: SensorLog) -> SensorLog:
+    """What an estimator is handed: the log, or a copy for one that does not ship, whose changes in place nobody after it may see."""
+    ships = type(estimator).__module__.partition(".")[0] == SHIPPED
+    return log if ships else copy.deepcopy(log)
 
 
 def _check_kinds(name: str, kind: type, params: Mapping[str, Any]) -> None:

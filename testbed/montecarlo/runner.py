@@ -29,6 +29,7 @@ from testbed.montecarlo.result import Result
 from testbed.montecarlo.store import FORMAT, KIND, Store, StoreError, batch_of, files_digest
 from testbed.montecarlo.work_unit import Setup, envelope_times
 from testbed.scenario import LONGEST_TIMEOUT_S, Scenario
+from testbed.scenario.windows import cut_notes
 from testbed.training.flights import TrainingFlights
 
 MOST_RUNS = 1_000_000
@@ -114,7 +115,8 @@ def run(
             client.close()
         tables = _tables(store, scenario, wanted, trajectory)
         pole = pole_notes(trajectory)
-        store.save(notes=[*store.manifest["notes"], *pole, *_of_first_run(store)])
+        cut = cut_notes(scenario.windows, trajectory)
+        store.save(notes=[*store.manifest["notes"], *cut, *pole, *_of_first_run(store)])
         seconds = round(time.monotonic() - started, 3)
         store.save(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
     return Result(store.out, **vars(tables), notes=tuple(store.manifest["notes"]), near_pole=bool(pole))

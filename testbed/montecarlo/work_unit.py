@@ -20,7 +20,7 @@ from testbed.base.errors import InputError
 from testbed.base.guarded import reason_of, timed
 from testbed.base.time_limit import TimeLimitError
 from testbed.data.records import Array, NavSolution, SensorErrors, SensorLog, Trajectory
-from testbed.data.registry import load_plugin, make_estimator
+from testbed.data.registry import load_plugin, log_for, make_estimator
 from testbed.montecarlo import first_run as details
 from testbed.scenario import EstimatorConfig, Scenario
 from testbed.scenario.windows import Window
@@ -194,7 +194,7 @@ class Bench:
                 continue
             try:
                 limit = self._announce(entry, [each.result.run for each in part], heartbeat)
-                solutions, seconds = timed(many, [each.log for each in part], limit)
+                solutions, seconds = timed(many, [log_for(estimator, each.log) for each in part], limit)
             except (KeyboardInterrupt, MemoryError):
                 raise
             except BaseException as error:
@@ -245,7 +245,7 @@ class Bench:
             estimator = make_estimator(entry.name, **entry.params)
             if not getattr(estimator, "timed", True):
                 samples = 0  # and so none of the tables of times has it
-            solution, seconds = timed(estimator.run, log, limit)
+            solution, seconds = timed(estimator.run, log_for(estimator, log), limit)
             if not isinstance(solution, NavSolution):
                 raise InputError(f"run(log) returned {type(solution).__name__}, not a NavSolution")
         except TimeLimitError:

@@ -11,6 +11,9 @@ from testbed.data.records import Trajectory
 if TYPE_CHECKING:
     from testbed.scenario import WindowConfig
 
+LEAST_CUT_S = 1.0
+"""What is told of a window that is cut: recordings begin and end within a second of what a scenario rounds."""
+
 
 class Window(NamedTuple):
     """A named set of intervals (start, end]; ``final_`` metrics are taken at the end of the last one."""
@@ -24,7 +27,7 @@ def resolve_windows(
 ) -> list[Window]:
     """``all`` first, then what the scenario asks for: ``outage_1``.. and ``outages``, ``phase_1_turn``.., fixed ones.
 
-    Raises InputError when a fixed window lies outside of the flight.
+    Raises InputError when a fixed window lies outside of the flight, or when two have one name.
     """
     start, end = float(trajectory.t[0]), float(trajectory.t[-1])
     out = [Window("all", ((start - 1.0, end),))]
@@ -42,4 +45,26 @@ def resolve_windows(
                     f"window '{config.name}' ({config.start} to {config.end} s) lies outside of the flight ({start:g} to {end:g} s)"
                 )
             out.append(Window(config.name, ((config.start, config.end),)))
+    names = [window.name for window in out]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"two windows are called '{name}'; 'all' is the whole flight, 'outages' and 'phases' name theirs"
+            )
     return out
+
+
+def cut_notes(configs: Sequence[WindowConfig], trajectory: Trajectory) -> list[str]:
+    """A sentence for each fixed window of which a second or more lies before or after the flight."""
+    start, end = float(trajectory.t[0]), float(trajectory.t[-1])
+    notes = []
+    for config in configs:
+        if config.start is None or config.end is None:
+            continue
+        first, last = max(config.start, start), min(config.end, end)
+        if max(first - config.start, config.end - last) >= LEAST_CUT_S:
+            notes.append(
+                f"window '{config.name}' ({config.start:.10g} to {config.end:.10g} s) reaches beyond the flight"
+                f" ({start:.10g} to {end:.10g} s): {first:.10g} to {last:.10g} s of it are scored"
+            )
+    return notes

@@ -22,7 +22,7 @@ from testbed.base.child_processes import can_fork, end_with_parent, quietly
 from testbed.base.errors import InputError, TestbedError, nearest
 from testbed.base.time_limit import single_threaded, thread_environment
 from testbed.data.records import Array, Trajectory
-from testbed.data.registry import load_plugin, make_estimator
+from testbed.data.registry import load_plugin, log_for, make_estimator
 from testbed.scenario import Scenario
 from testbed.scoring.judged import judge
 from testbed.scoring.quantities import DIVERGED
@@ -102,7 +102,8 @@ class Evaluator:
         for entry in scenario.estimators:
             try:
                 with np.errstate(all="ignore"):
-                    solution = make_estimator(entry.name, **entry.params).run(log)
+                    estimator = make_estimator(entry.name, **entry.params)
+                    solution = estimator.run(log_for(estimator, log))
                 limit = scenario.monte_carlo.divergence_position_m
                 reason, rows, *_ = judge(solution, truth, log, errors, chosen, limit)
             except MemoryError:

@@ -20,7 +20,7 @@ from testbed import pipeline
 from testbed.base.errors import InputError
 from testbed.data.estimator import fast_path
 from testbed.data.records import Array, Innovations, SensorErrors, SensorLog, Trajectory
-from testbed.data.registry import estimator_class, load_plugin, make_estimator
+from testbed.data.registry import estimator_class, load_plugin, log_for, make_estimator
 from testbed.scenario import Scenario
 from testbed.scenario.windows import Window
 from testbed.scoring.metrics import divergence, error_series, score
@@ -73,7 +73,8 @@ def record(scenario: Scenario, config: TuneConfig, runs: Sequence[int]) -> list[
 def full_score(name: str, params: Mapping[str, Any], recording: Recording, window: str = "all") -> Metrics:
     """Every metric of an estimator on a recording, and `DEVIANCE`; empty where it failed or diverged."""
     try:
-        solution = make_estimator(name, **params).run(recording.log)
+        estimator = make_estimator(name, **params)
+        solution = estimator.run(log_for(estimator, recording.log))
     except InputError:
         raise
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed.base.files import write_with
-from testbed.data.registry import make_estimator
+from testbed.data.registry import log_for, make_estimator
 from testbed.scoring.metrics import error_series
 from testbed.scoring.quantities import AXES, axis_title
 from testbed.tuning.objective import Recording
@@ -81,7 +81,8 @@ def best_flight(name: str, candidates: Mapping[str, Mapping[str, Any]], recordin
     track = figure.add_subplot(spread[3, :])
     step = max(1, len(recording.log.imu.t) // 1500)
     for k, (label, params) in enumerate(candidates.items()):
-        solution = make_estimator(name, **params).run(recording.log)
+        estimator = make_estimator(name, **params)
+        solution = estimator.run(log_for(estimator, recording.log))
         series = error_series(recording.trajectory, solution)
         for axis, axes in enumerate(grid[:3].ravel()):
             axes.plot(series.t[::step], series.values[::step, axis], lw=0.8, color=COLOURS[k % 8], label=label)

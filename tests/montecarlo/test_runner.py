@@ -199,6 +199,42 @@ def test_estimators_share_their_sensors_and_do_not_disturb_each_other(tmp_path):
     pd.testing.assert_frame_equal(good, alone)
 
 
+@pytest.mark.parametrize("order", [["spoils", "reads"], ["reads", "spoils"]])
+def test_what_a_plugin_writes_into_its_log_no_other_row_sees(order, tmp_path):
+    """Units go through the rows forwards and backwards in turn, so either order would meet it."""
+    result = run(mc.scenario([{"name": name} for name in order], runs=12), tmp_path / "out").summary
+    rows = result.query("estimator == 'reads' and window == 'all'").set_index("metric")
+    assert rows.loc["rmse_north_m", "mean"] < 1e-5
+
+
+def test_a_window_beyond_the_flight_is_told(tmp_path):
+    windows = [
+        {"name": name, "start": start, "end": end}
+        for name, start, end in (("inside", 10.0, 60.4), ("end", 50.0, 90.0), ("start", -30.0, 5.0))
+    ]
+    notes = run(mc.scenario([mc.GOOD], runs=2, windows=windows), tmp_path / "out").notes
+    told = [note for note in notes if "reaches beyond" in note]
+    assert told == [
+        "window 'end' (50 to 90 s) reaches beyond the flight (0 to 60 s): 50 to 60 s of it are scored",
+        "window 'start' (-30 to 5 s) reaches beyond the flight (0 to 60 s): 0 to 5 s of it are scored",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("windows", "name"),
+    [
+        ([{"name": "all", "start": 10.0, "end": 20.0}], "all"),
+        ([{"name": "end", "start": 10.0, "end": 20.0}, {"name": "end", "start": 30.0, "end": 40.0}], "end"),
+        ([{"kind": "outages"}, {"name": "outages", "start": 10.0, "end": 20.0}], "outages"),
+        ([{"name": "outage_1", "start": 10.0, "end": 20.0}, {"kind": "outages"}], "outage_1"),
+    ],
+)
+def test_two_windows_of_one_name_are_refused(windows, name, tmp_path):
+    with pytest.raises(InputError, match=f"two windows are called '{name}'"):
+        run(mc.scenario([mc.GOOD], windows=windows), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_dead_start_of_every_worker_is_an_error_not_a_loop(tmp_path, monkeypatch):
     from testbed.montecarlo import executors
 

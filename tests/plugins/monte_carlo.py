@@ -207,3 +207,25 @@ class Repeats:
         seed, run = map(int, log.name.split())
         same = SensorLog(log.imu, log.initial, log.gnss, name=f"{seed} {min(run, 4)}")
         return _truth_plus(same, f"repeats {self.sigma_m}", self.sigma_m)
+
+
+@dataclass(frozen=True)
+class Spoils:
+    """Writes into the log that it is handed."""
+
+    name = "spoils"
+
+    def run(self, log):
+        log.imu.accel[:] = 1e3
+        log.gnss.lat[:] = 0.0
+        return _truth_plus(log, "spoils", 1.0)
+
+
+@dataclass(frozen=True)
+class Reads:
+    """Errs by what it reads, which is nought where nobody wrote there."""
+
+    name = "reads"
+
+    def run(self, log):
+        return _truth_plus(log, "reads", 1e-6 + np.abs(log.imu.accel).max())
