@@ -55,7 +55,9 @@ def run(
     def loaded(*arguments: Any) -> Scenario:
         return _choose_estimators(load(*arguments), estimators, external)
 
-    scenario = loaded(_first_point(sweep or []))  # which may complete the settings
+    grid = _grid(sweep or [])
+    # its first point may complete the settings
+    scenario = loaded({key: values[0] for key, values in grid.items()})
     unused = [name for name in offered if name not in {entry.name for entry in scenario.estimators}]
     if unused and estimators is None:
         tell_user(f"no row of {scenario.name} uses {', '.join(unused)}: add --estimators +{',+'.join(unused)}")
@@ -72,7 +74,7 @@ def run(
         return
     count = testbed.montecarlo.runner.Auto(width, cap or AUTO_CAP) if runs == "auto" else run_count(runs)
     if sweep:
-        _sweep(loaded, sweep, folder, runs=count, **drawn, **options)
+        _sweep(loaded, grid, folder, runs=count, **drawn, **options)
         return
     started = time.time()
     _announce_compilation()
@@ -110,13 +112,13 @@ def run(
     print(f"report: {folder / 'report.html'}" if report else f"tables: {folder}; the report: testbed report {folder}")
 
 
-def _first_point(grid: list[str]) -> Mapping[str, Any]:
-    """Settings of the first point of a sweep; none where there is no sweep, which then need not be imported."""
-    if not grid:
+def _grid(sweep: list[str]) -> dict[str, list[Any]]:
+    """Values per key of a sweep; none where there is no sweep, which then need not be imported."""
+    if not sweep:
         return {}
-    from testbed.montecarlo.sweep import first_point
+    from testbed.montecarlo.sweep import parse_grid
 
-    return first_point(grid)
+    return parse_grid(sweep)
 
 
 def _readings(
@@ -153,14 +155,14 @@ def _announce_compilation() -> None:
 
 def _sweep(
     load: Callable[[Mapping[str, Any]], Scenario],
-    grid: list[str],
+    grid: Mapping[str, Sequence[Any]],
     folder: Path,
     metric: str | None,
     window: str | None,
     log: str | None,
     **options: Any,
 ) -> None:
-    from testbed.montecarlo.sweep import PLOT_METRIC, parse_sweep
+    from testbed.montecarlo.sweep import PLOT_METRIC
     from testbed.montecarlo.sweep import sweep as run_grid
     from testbed.report.labels import window_label
     from testbed.scoring.quantities import axis_title
@@ -168,7 +170,7 @@ def _sweep(
     metric, window = metric or PLOT_METRIC, window or "all"
     table = run_grid(
         load,
-        dict(parse_sweep(text) for text in grid),
+        grid,
         folder,
         announce=tell_user,
         metric=metric,

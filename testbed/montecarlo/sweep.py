@@ -21,7 +21,7 @@ from testbed.montecarlo.runner import plan, prepare, run
 from testbed.montecarlo.store import KIND as RESULT
 from testbed.report.sweeps import FILES
 from testbed.report.sweeps import write as write_files
-from testbed.scenario import Scenario
+from testbed.scenario import Scenario, hides
 from testbed.scoring.quantities import MAIN, is_consistency, metric_names
 
 if TYPE_CHECKING:
@@ -43,9 +43,26 @@ def parse_sweep(text: str) -> tuple[str, list[Any]]:
     return key.strip(), parsed
 
 
-def first_point(grid: Sequence[str]) -> dict[str, Any]:
-    """The settings of the first point of the grid that some ``--sweep`` span."""
-    return {key: values[0] for key, values in map(parse_sweep, grid)}
+def parse_grid(texts: Sequence[str]) -> dict[str, list[Any]]:
+    """Key -> values of several ``--sweep``. Raises InputError for a key that two of them give, or a value that stands twice."""
+    grid: dict[str, list[Any]] = {}
+    for key, values in map(parse_sweep, texts):
+        for other in grid:
+            if hides(key, other):
+                why = "is given twice" if key == other else f"leaves nothing of '{other}'"
+                raise InputError(f"--sweep {key} {why}; give each key once, with all of its values: {other}=V1,V2,V3")
+        grid[key] = values
+    check_values(grid)
+    return grid
+
+
+def check_values(grid: Mapping[str, Sequence[Any]]) -> None:
+    """Raise InputError where two points of a grid would be one and the same."""
+    for key, values in grid.items():
+        cells = [_cell(value) for value in values]
+        for k, cell in enumerate(cells):
+            if any(cell == other or str(cell) == str(other) for other in cells[:k]):
+                raise InputError(f"--sweep {key}: the value {cell} stands twice; name each value once")
 
 
 def sweep(
@@ -70,6 +87,7 @@ def sweep(
     out, keys = Path(out), list(grid)
     if not keys or not all(grid.values()):
         raise InputError("a sweep needs at least one key with at least one value")
+    check_values(grid)
     points = [dict(zip(keys, values, strict=True)) for values in itertools.product(*grid.values())]
     scenarios = [load(point) for point in points]
     planned = {key: value for key, value in options.items() if key in signature(plan).parameters}

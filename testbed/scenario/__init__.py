@@ -13,7 +13,7 @@ from testbed.scenario.model import (
     Scenario,
     WindowConfig,
 )
-from testbed.scenario.settings import merge, parse_setting, parse_value, position_of, set_key
+from testbed.scenario.settings import check_once, hides, merge, parse_setting, parse_value, position_of, set_key
 
 __all__ = [
     "EXTERNAL",
@@ -22,7 +22,9 @@ __all__ = [
     "MonteCarloConfig",
     "Scenario",
     "WindowConfig",
+    "check_once",
     "find_scenario",
+    "hides",
     "list_scenarios",
     "load_scenario",
     "merge",

@@ -70,6 +70,19 @@ def position_of(text: str) -> int | None:
     return int(text) if re.fullmatch("[0-9]{1,9}", text) else None
 
 
+def hides(key: str, earlier: str) -> bool:
+    """Whether setting a dotted key leaves nothing of what an earlier one set: the same key, or one inside of it."""
+    return f"{earlier}.".startswith(f"{key}.")
+
+
+def check_once(settings: Mapping[str, Any], key: str, option: str) -> None:
+    """Raise InputError where ``settings`` (dotted keys) give what ``option`` gives as well, by itself or in its table."""
+    table, _, last = key.rpartition(".")
+    beside = settings.get(table)
+    if key in settings or (isinstance(beside, Mapping) and last in beside):
+        raise InputError(f"{option}: '{key}' is given as a setting as well, two values for one thing; give one of them")
+
+
 def parse_setting(text: str) -> tuple[str, Any]:
     """``KEY=VALUE`` of ``--set``, the value in TOML; a bare word counts as a string."""
     key, separator, value = text.partition("=")

@@ -15,7 +15,7 @@ from testbed.base.errors import InputError
 from testbed.cli import commands
 from testbed.montecarlo import runner
 from testbed.montecarlo.compare import compare_all, compare_results
-from testbed.montecarlo.sweep import parse_sweep, sweep
+from testbed.montecarlo.sweep import parse_grid, parse_sweep, sweep
 
 
 @pytest.fixture(autouse=True)
@@ -44,6 +44,20 @@ def test_parse_sweep():
     assert parse_sweep("model=ADIS16405,ideal") == ("model", ["ADIS16405", "ideal"])
     with pytest.raises(InputError, match="expected KEY="):
         parse_sweep("a.b")
+
+
+def test_points_that_are_one_are_refused(tmp_path):
+    """Both would be the same row of the table; words that print alike are one, too."""
+    with pytest.raises(InputError, match="1 stands twice"):
+        parse_grid(["a.b=1,1"])
+    with pytest.raises(InputError, match="a is given twice"):
+        parse_grid(["a=1,2", "a=3,4"])
+    with pytest.raises(InputError, match="leaves nothing of 'a"):
+        parse_grid(["a.b=1,2", "a={b=1}"])
+    with pytest.raises(InputError, match="1 stands twice"):
+        sweep(lambda point: mc.scenario([mc.GOOD]), {"a": [1, "1"]}, tmp_path / "out", jobs=1)
+    assert not (tmp_path / "out").exists()
+    assert parse_grid(["a=1,2", "a.b=3"]) == {"a": [1, 2], "a.b": [3]}
 
 
 def test_sweep_is_one_table_and_one_plot_over_the_grid(tmp_path):
