@@ -61,6 +61,7 @@ def tune(
 def _without_extras(config: TuneConfig, asked: bool) -> TuneConfig:
     """Leave out, with a note, what needs a package that is not there; MissingExtra where it was ``asked`` for by name."""
     from testbed.tuning.library import CMA_ES, NEEDS_CMA
+    from testbed.tuning.search import least_population
 
     if has_package("cma"):
         return config
@@ -72,8 +73,9 @@ def _without_extras(config: TuneConfig, asked: bool) -> TuneConfig:
         changes["algorithms"] = left
         tell_user(f"note: {NEEDS_CMA}; it is left out")
     if config.innovation_search == CMA_ES:
-        changes["innovation_search"] = "de"
-        tell_user(f"note: {NEEDS_CMA}; the innovations are searched by differential evolution")
+        other = "de" if config.population >= least_population("de") else "pso"
+        changes["innovation_search"] = other
+        tell_user(f"note: {NEEDS_CMA}; the innovations are searched by {other}")
     return config.model_copy(update=changes)
 
 

@@ -14,7 +14,7 @@ from testbed.base.errors import InputError, nearest
 from testbed.base.schema import Table, validate
 from testbed.scenario import EstimatorConfig, Scenario, set_key
 from testbed.scoring.quantities import AXES, metric_names
-from testbed.tuning.search import PAPER, algorithm
+from testbed.tuning.search import PAPER, algorithm, least_population
 from testbed.tuning.space import AxisConfig
 
 RMSE_METRICS = [f"rmse_{axis}" for axis in AXES]
@@ -95,6 +95,9 @@ class TuneConfig(Table):
                 algorithm(name)
         except InputError as error:
             raise ValueError(str(error)) from None
+        for name in [*self.algorithms, *({self.innovation_search} - {"none"})]:
+            if self.population < (least := least_population(name)):
+                raise ValueError(f"population is {self.population}, but algorithm '{name}' needs at least {least}")
         for metric in self.metrics:
             if metric not in metric_names():
                 raise ValueError(f"unknown metric '{metric}'; {nearest(metric, metric_names())}")

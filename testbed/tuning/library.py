@@ -18,6 +18,8 @@ from testbed.data.records import Array
 from testbed.tuning.search import Bounds, Steps
 
 CMA_ES = "cma-es"
+WIDEST_STEP = 1.0 / 3.0
+"""Most of the box that 1 sigma takes: the package's own limit, which it fails to apply to a single coordinate (version 4.5)."""
 NEEDS_CMA = f"algorithm '{CMA_ES}' needs the package cma: pip install 'navigation-testbed[tuning]'"
 
 
@@ -35,6 +37,8 @@ def cma_es(bounds: Bounds, population: int, iterations: int, rng: np.random.Gene
         "seed": np.nan,
         "randn": lambda *shape: rng.standard_normal(shape),
     }
+    if single := len(width) == 1:
+        options["maxstd"], sigma = np.inf, min(sigma, WIDEST_STEP)
     left = iterations
     while left > 0:
         strategy = cma.CMAEvolutionStrategy(rng.random(len(width)), sigma, options)
@@ -42,6 +46,8 @@ def cma_es(bounds: Bounds, population: int, iterations: int, rng: np.random.Gene
             asked = strategy.ask()
             f = yield bounds.clip(bounds.low + width * np.asarray(asked))
             strategy.tell(asked, list(f))
+            if single:
+                strategy.sigma *= min(1.0, WIDEST_STEP / float(strategy.stds[0]))
             left -= 1
 
 

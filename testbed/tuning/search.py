@@ -36,6 +36,10 @@ ONE_BY_ONE = ("sipo", "iipo")
 """These ask for one candidate at a time: such searches run abreast, so that their candidates can share a pass."""
 
 
+LEAST_POPULATION = {"de": 5}
+"""Scipy takes no smaller one; every other algorithm needs 2."""
+
+
 class Bounds(NamedTuple):
     """A box: ``low`` and ``high`` (d,)."""
 
@@ -110,11 +114,16 @@ def make_search(
     for key in settings or {}:
         if key not in known:
             raise InputError(f"algorithm '{name}' has no setting '{key}'; {nearest(key, known)}")
-    if population < 2 or iterations < 1:
+    if population < (least := least_population(name)) or iterations < 1:
         raise InputError(
-            f"a search needs a population of at least 2 and 1 iteration, not {population} and {iterations}"
+            f"a search by {name} needs a population of at least {least} and 1 iteration, not {population} and {iterations}"
         )
     return Search(function(bounds, population, iterations, stream(seed, 0, f"tuning.{name}"), **(settings or {})))
+
+
+def least_population(name: str) -> int:
+    """The fewest candidates per iteration that an algorithm works with."""
+    return LEAST_POPULATION.get(name, 2)
 
 
 def algorithm(name: str) -> Callable[..., Steps]:

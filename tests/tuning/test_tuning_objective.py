@@ -190,6 +190,8 @@ def test_configuration_is_checked():
         ({"metrics": ["rmse_yaw"]}, "rmse_yaw_deg"),
         ({"train_runs": [0, 1], "test_runs": [1]}, "both"),
         ({"population": 1}, "greater than or equal to 2"),
+        ({"population": 4, "algorithms": ["pso", "de"]}, "population is 4, but algorithm 'de' needs at least 5"),
+        ({"population": 4, "innovation_search": "de"}, "population is 4, but algorithm 'de' needs at least 5"),
         ({"populaton": 10}, "did you mean 'population'"),
     ):
         with pytest.raises(InputError, match=message):

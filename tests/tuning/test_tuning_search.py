@@ -12,7 +12,7 @@ from testbed.base.errors import InputError
 from testbed.tuning.functions import FUNCTIONS, minimise
 from testbed.tuning.ga import crossover, roulette
 from testbed.tuning.ipo import acceleration, ipo, mipo
-from testbed.tuning.search import ALGORITHMS, Bounds, make_search
+from testbed.tuning.search import ALGORITHMS, Bounds, least_population, make_search
 from testbed.tuning.sipo import iipo, sipo
 
 BOX = Bounds(np.full(5, -2.0), np.full(5, 4.0))
@@ -40,6 +40,19 @@ def test_budget_box_and_seed(name):
     assert (first >= BOX.low).all() and (first <= BOX.high).all()
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("population", [2, 3, 6, 20])
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_a_single_coordinate_is_searched(name, population):
+    """Its minimum lies outside of the box, towards which steps grow: CMA-ES then meets the limit of its step, which the package
+    cannot apply to one coordinate."""
+    box = Bounds(np.array([-2.0]), np.array([4.0]))
+    population = max(population, least_population(name))
+    for seed in range(3):
+        asked = np.concatenate(course(make_search(name, box, population, 15, seed), lambda x: (x[:, 0] - 9.0) ** 2))
+        assert len(asked) == 15 * population
+        assert (asked >= box.low).all() and (asked <= box.high).all()
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
@@ -196,6 +209,8 @@ def test_names_and_settings_are_checked():
         make_search("pso", BOX, 4, 3, 0, {"inertja": 0.7})
     with pytest.raises(InputError, match="population"):
         make_search("pso", BOX, 1, 3, 0)
+    with pytest.raises(InputError, match="by de needs a population of at least 5"):
+        make_search("de", BOX, 4, 3, 0)
 
 
 def test_library_is_let_go_when_a_search_ends_early():
