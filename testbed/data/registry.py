@@ -168,7 +168,7 @@ def load_plugin(path: str | Path) -> list[str]:
     parts = len(_parts)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"{path}: the plug-in does not import: {type(error).__name__}: {error}") from error
     found: dict[str, type] = {
         kind.name: kind  # type: ignore[attr-defined]

@@ -21,6 +21,7 @@ def workplace(tmp_path, monkeypatch):
     Path("full").mkdir()
     Path("full/something").write_text("text")
     Path("syntax.py").write_text("def run(:\n")
+    Path("ends.py").write_text("import sys\nsys.exit(0)\n")
     Path("nothing.py").write_text("x = 1\n")
     Path("taken.py").write_text("class Mine:\n    name = 'indirect-kf'\n    def run(self, log):\n        return None\n")
     Path("broken.toml").write_text("[flight\n")
@@ -86,6 +87,7 @@ MISTAKES = {
     "run quickstart --sweep monte_carlo.seed=1,2 --seed 3": ["--seed has no effect", "--sweep monte_carlo.seed"],
     "fly quickstart --set flight.rate_hz=50 --set flight.rate_hz=100": ["--set flight.rate_hz has no effect", "later"],
     "run quickstart --plugin syntax.py": ["syntax.py", "line 1"],
+    "run quickstart --plugin ends.py": ["ends.py: the plug-in does not import: SystemExit: 0"],
     "run quickstart --plugin nothing.py": ["nothing.py", "run(log)"],
     "run quickstart --plugin absent.py": ["absent.py"],
     "run quickstart --plugin taken.py": ["taken.py", "'indirect-kf'", "ships"],
