@@ -111,7 +111,9 @@ def run_command(
         str | None, typer.Option(help="Number of Monte Carlo runs, or 'auto' to stop when the claims are settled.")
     ] = None,
     seed: SeedOption = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes; default: one per core.")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes; default: one per core; 1: no process but this one.")
+    ] = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, e.g. tcp://host:8786.")
     ] = None,

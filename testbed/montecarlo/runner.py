@@ -79,7 +79,8 @@ def run(
     """Run a scenario's Monte Carlo and write the result folder ``out``; ``testbed report`` makes its page.
 
     ``runs``, ``seed``, ``estimators`` (labels) and ``timeout`` (s, per estimator and run) stand above the scenario's;
-    ``jobs`` processes (default: one per core; 1 computes in this process), or a Dask cluster at ``scheduler``.
+    ``jobs`` processes (default: one per core; 1 computes in this process, where a debugger works, and which an estimator can
+    end), or a Dask cluster at ``scheduler``.
     ``resume`` completes what an earlier call left. Raises InputError before anything is written, Interrupted on Ctrl-C.
     """
     jobs = jobs if jobs is not None else os.cpu_count() or 1
@@ -313,10 +314,14 @@ def _complete(store: Store, missing: list[int], wanted: int, units: Any, progres
 
 
 def _units(setup: Setup, missing: list[int], jobs: int, client: Any) -> Any:
-    """Generator of finished units: on the Dask cluster of ``client``, in this process, or in a pool."""
+    """Generator of finished units: on the Dask cluster of ``client``, in this process, or in a pool.
+
+    A lone run with plug-ins has a worker, too: one of them may end the process that it runs in.
+    """
     if client is not None:
         return executors.cluster(setup, missing, client)
-    if not missing or (setup.limit_s is None and (jobs == 1 or len(missing) == 1)):
+    here = jobs == 1 or (len(missing) == 1 and not setup.plugins)
+    if not missing or (setup.limit_s is None and here):
         return executors.inline(setup, missing)
     return executors.Pool(setup, min(jobs, len(missing))).run(missing)
 

@@ -226,8 +226,8 @@ class Bench:
         """Add what an estimator makes of a run to its result; ``answer`` where it is known already."""
         result = sensed.result
         if entry.row in result.skipped:
-            reason = result.skipped[entry.row]
-            result.outcomes.append(Outcome(entry.row, _short(reason), reason))
+            status = result.skipped[entry.row]
+            result.outcomes.append(Outcome(entry.row, _short(status), status.partition(": ")[2]))
             return
         outcome, solution = answer or self._estimate(entry, sensed.log, self._announce(entry, [result.run], heartbeat))
         if solution is not None:

@@ -252,7 +252,8 @@ def failures(result: Result) -> Table | None:
     bad = result.runs[result.runs["status"] != "ok"]
     if bad.empty:
         return None
-    words = bad["status"].astype(str) + bad["reason"].map(
+    # the status of a failed run repeats the reason
+    words = bad["status"].astype(str).str.partition(":")[0] + bad["reason"].map(
         lambda reason: f": {reason}" if isinstance(reason, str) and reason else ""
     )
     counts = words.groupby([bad["estimator"], words], sort=False).size()

@@ -117,6 +117,21 @@ def test_native_code_that_hangs_or_crashes_is_given_up(tmp_path):
     }
 
 
+def test_a_lone_run_of_a_plugin_does_not_end_the_bench(tmp_path, capsys):
+    """One run would be computed in this process, but for the plug-in: whose crash then costs its row, and is told once."""
+    from testbed.cli.console import print_failures
+    from testbed.report.results import load_result
+    from testbed.report.tables import failures
+
+    rows = [mc.GOOD, {"name": "kills", "params": {"at": 0}}]
+    result = run(mc.scenario(rows, runs=1), tmp_path / "out", jobs=2)
+    assert result.runs["status"].tolist() == ["ok", "failed: it ended its worker process (crash or memory)"]
+    print_failures(result.runs)
+    assert "run 0 failed: it ended its worker process (crash or memory)" in capsys.readouterr().err
+    table = failures(load_result(result.out))
+    assert table.rows[0][1][0].text == "failed: it ended its worker process (crash or memory)"
+
+
 def test_a_run_without_data_costs_its_rows(tmp_path, monkeypatch):
     scenario = mc.scenario([mc.GOOD], runs=3)
     from testbed.base.errors import FlightError
