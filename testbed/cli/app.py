@@ -144,9 +144,11 @@ def run_command(
         bool, typer.Option("--readings", help="Run every reading of the source and judge the claims under each.")
     ] = False,
     width: Annotated[
-        float,
-        typer.Option(min=0.1, help="With --runs auto or --readings: interval width of every claim, percentage points."),
-    ] = 10.0,
+        float | None,
+        typer.Option(
+            min=0.1, help="With --runs auto or --readings: interval width of every claim, percentage points (10)."
+        ),
+    ] = None,
     cap: Annotated[
         int | None, typer.Option(min=1, help="Most runs with --runs auto (1000) and with --readings (200).")
     ] = None,

@@ -18,6 +18,8 @@ from testbed.montecarlo.folders import check_own
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
 
+WIDTH_PCT = 10.0
+"""Of the interval of a claim where --runs auto and --readings stop, in percentage points."""
 AUTO_CAP = 1000
 """Most runs of --runs auto: an interval then has a thirtieth of one run's scatter."""
 
@@ -29,7 +31,7 @@ def run(
     estimators: str | None,
     sweep: list[str] | None,
     readings: bool,
-    width: float,
+    width: float | None,
     cap: int | None,
     report: bool = True,
     offered: Sequence[str] = (),
@@ -49,6 +51,13 @@ def run(
 
     if not sweep and (told := [name for name, value in drawn.items() if value is not None]):
         raise InputError(f"--{told[0]} says what the figure of a sweep shows; give --sweep KEY=V1,V2 with it")
+    if (told := [name for name, value in (("width", width), ("cap", cap)) if value is not None]) and not (
+        runs == "auto" or (readings and runs is None)
+    ):
+        raise InputError(
+            f"--{told[0]} says when runs are enough; give --runs auto with it, or --readings without --runs N"
+        )
+    width = WIDTH_PCT if width is None else width
     if external and runs == "auto":
         raise InputError("--external: only so many runs have answers; give --runs a number in place of auto")
 
