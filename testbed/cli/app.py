@@ -349,9 +349,12 @@ def dataset_command(
 ) -> None:
     """Fly and record training data for the networks of a scenario."""
     from testbed.cli.console import progress_line
+    from testbed.scenario import check_once
     from testbed.training.dataset import make_dataset
 
     loaded = loader(scenario, profile, variant, settings)({})
+    if flights is not None:
+        check_once(loaded.settings, "extra.dataset.flights", "--flights")
     with progress_line("flights") as tell:
         print(f"data set: {make_dataset(loaded, out or Path('results') / f'{loaded.name}-dataset', flights, tell)}")
 

@@ -47,6 +47,9 @@ def sense(scenario: Scenario, out: Path | None, runs: str | None = None) -> None
     check_free(folder)
     if (count := run_count(runs)) is not None:
         from testbed.montecarlo.external import ANSWERS, run_name, write_logs
+        from testbed.scenario import check_once
+
+        check_once(scenario.settings, "monte_carlo.runs", "--runs")
 
         with fresh_folder(folder) as scratch, progress_line("logs") as show:
             counts = write_logs(scenario, scratch, count, show)

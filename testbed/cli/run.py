@@ -48,6 +48,7 @@ def run(
     from testbed.montecarlo.readings import KIND as READINGS
     from testbed.montecarlo.store import KIND as RESULT
     from testbed.report import preload, render
+    from testbed.scenario import check_once
 
     if not sweep and (told := [name for name, value in drawn.items() if value is not None]):
         raise InputError(f"--{told[0]} says what the figure of a sweep shows; give --sweep KEY=V1,V2 with it")
@@ -67,6 +68,11 @@ def run(
     grid = _grid(sweep or [])
     # its first point may complete the settings
     scenario = loaded({key: values[0] for key, values in grid.items()})
+    for option, key, given in (("--runs", "runs", runs), ("--timeout", "timeout_s", options.get("timeout"))):
+        if given is not None:
+            check_once(scenario.settings, f"monte_carlo.{key}", option)
+    if readings and runs is None:
+        check_once(scenario.settings, "monte_carlo.runs", "--readings without --runs")
     unused = [name for name in offered if name not in {entry.name for entry in scenario.estimators}]
     if unused and estimators is None:
         tell_user(f"no row of {scenario.name} uses {', '.join(unused)}: add --estimators +{',+'.join(unused)}")

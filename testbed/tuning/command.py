@@ -36,17 +36,20 @@ def tune(
     plugins: Sequence[Path] = (),
 ) -> None:
     """Search, score, report. Lists are comma-separated; what is None comes from ``[extra.tune]``."""
+    from testbed.scenario import check_once
     from testbed.tuning import tune as driver
     from testbed.tuning.config import tune_config
     from testbed.tuning.report import write_report
 
-    config = tune_config(
-        scenario,
-        algorithms=None if algorithms is None else [part.strip() for part in algorithms.split(",")],
-        iterations=_numbers("--iterations", iterations),
-        seeds=_numbers("--seeds", seeds),
-        population=population,
-    )
+    given = {
+        "algorithms": None if algorithms is None else [part.strip() for part in algorithms.split(",")],
+        "iterations": _numbers("--iterations", iterations),
+        "seeds": _numbers("--seeds", seeds),
+        "population": population,
+    }
+    for key in (key for key, value in given.items() if value is not None):
+        check_once(scenario.settings, f"extra.tune.{key}", f"--{key}")
+    config = tune_config(scenario, **given)
     config = _without_extras(config, asked=algorithms is not None)
     variant = f"-{scenario.variant}" if scenario.variant else ""
     folder = out or Path("results") / f"{scenario.name}{variant}-tuning"
