@@ -296,7 +296,9 @@ def score_command(
 @app.command("report")
 def report_command(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Result folders.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder for the index over several results.")] = Path("results"),
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for the index over several results (results).")
+    ] = None,
 ) -> None:
     """Render results again; several results also into one index."""
     from testbed.cli import commands

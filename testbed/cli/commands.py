@@ -200,8 +200,8 @@ def score(solutions: list[Path], truth: str, align: str, out: Path | None) -> No
         print(f"table: {out}")
 
 
-def report(folders: list[Path], out: Path) -> None:
-    """``testbed report``."""
+def report(folders: list[Path], out: Path | None) -> None:
+    """``testbed report``; ``out`` is the folder of the index over several results."""
     from testbed.montecarlo.folders import read_manifest as manifest_of
     from testbed.montecarlo.readings import KIND as READINGS
     from testbed.montecarlo.sweep import KIND as SWEEP
@@ -211,7 +211,13 @@ def report(folders: list[Path], out: Path) -> None:
     from testbed.tuning.report import write_report
     from testbed.tuning.tune import read_manifest
 
-    check_place(out)
+    several = len(folders) > 1
+    if out is not None and not several:
+        raise InputError(
+            f"--out {out}: the folder of an index over several results, but one is named; its report stands in {folders[0]}"
+        )
+    index = out or Path("results")
+    check_place(index)
     for folder in folders:
         if not (folder / "manifest.json").is_file():
             raise InputError(f"{folder}: no result of 'testbed run' or 'testbed tune' (it has no manifest.json)")
@@ -225,8 +231,8 @@ def report(folders: list[Path], out: Path) -> None:
         else:
             write_report(folder)
         print(f"report: {folder / 'report.html'}")
-    if len(folders) > 1:
-        print(f"index: {render_index(folders, out)}")
+    if several:
+        print(f"index: {render_index(folders, index)}")
 
 
 def compare(old: Path, new: Path, windows: bool = False) -> int:

@@ -182,7 +182,7 @@ VERBS = {
     "fly": ["fly", "damaged.toml", "--out", "out"],
     "sense": ["sense", "damaged.toml", "--out", "out"],
     "import": ["import", "table", "table", "--out", "out"],
-    "report": ["report", "result", "--out", "out"],
+    "report": ["report", "result"],
     "compare": ["compare", "result", "other"],
 }
 OWN = {"report": ("result",)}
