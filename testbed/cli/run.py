@@ -49,6 +49,7 @@ def run(
     from testbed.montecarlo.store import KIND as RESULT
     from testbed.report import preload, render
     from testbed.scenario import check_once
+    from testbed.scoring.verdicts import describe_claim
 
     if not sweep and (told := [name for name, value in drawn.items() if value is not None]):
         raise InputError(f"--{told[0]} says what the figure of a sweep shows; give --sweep KEY=V1,V2 with it")
@@ -67,7 +68,10 @@ def run(
 
     grid = _grid(sweep or [])
     # its first point may complete the settings
-    scenario = loaded({key: values[0] for key, values in grid.items()})
+    whole = load({key: values[0] for key, values in grid.items()})
+    scenario = _choose_estimators(whole, estimators, external)
+    if left := [claim.id or describe_claim(claim) for claim in whole.active_claims() if claim not in scenario.claims]:
+        tell_user(f"note: not judged, as --estimators leaves out a row that they name: {', '.join(left)}")
     for option, key, given in (("--runs", "runs", runs), ("--timeout", "timeout_s", options.get("timeout"))):
         if given is not None:
             check_once(scenario.settings, f"monte_carlo.{key}", option)
@@ -228,7 +232,9 @@ def _choose_estimators(scenario: Scenario, names: str | None, answered: Sequence
     from testbed.scenario import EstimatorConfig, position_of
 
     rows = {entry.row: entry for entry in scenario.estimators}
-    wanted = list(dict.fromkeys(part.strip() for part in names.split(",") if part.strip()))
+    wanted = [part.strip() for part in names.split(",") if part.strip()]
+    if twice := next((name for name in wanted if wanted.count(name) > 1), None):
+        raise InputError(f"--estimators {names}: '{twice}' stands twice; name each row once")
     if added := [name for name in wanted if name.startswith("+")]:
         if len(added) < len(wanted):
             raise InputError(f"--estimators {names}: '+' before all names (beside the scenario's rows) or before none")

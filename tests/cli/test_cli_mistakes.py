@@ -86,6 +86,7 @@ MISTAKES = {
     "run quickstart --set estimators.ins.params.x=1 --estimators indirect-kf": ["--estimators leaves 'ins' out"],
     "run quickstart --set estimators.0.params.x=1 --estimators indirect-kf": ["--estimators leaves 'ins' out"],
     "run quickstart --estimators +pyins,ins": ["'+'"],
+    "run quickstart --estimators ins,ins": ["'ins' stands twice"],
     "run quickstart --estimators mine": ["--plugin FILE.py"],
     "run own": ["own.toml"],
     "run misspelt.toml": ["bnak_deg'", "'bank_deg'"],
@@ -290,6 +291,14 @@ def test_an_estimator_of_ones_own_beside_the_rows_of_a_scenario(workplace):
     code, said = call("run", "quickstart", *quick, "--estimators", "+part", "--out", "with")
     assert code == 0 and "add" not in said
     assert re.findall(r'name = "(ins|part)"', Path("with/scenario.toml").read_text()) == ["ins", "part"]
+
+
+def test_claims_that_lose_a_row_are_told(workplace):
+    quick = [*SHORT, "--no-report", "--runs", "1", "--jobs", "1"]
+    code, said = call("run", "quickstart", *quick, "--estimators", "indirect-kf", "--out", "one")
+    assert code == 0 and "not judged, as --estimators leaves out a row that they name: coasting" in said
+    code, said = call("run", "quickstart", *quick, "--estimators", "ins,indirect-kf", "--out", "two")
+    assert code == 0 and "not judged" not in said
 
 
 def test_the_command_in_a_report_makes_the_result_again(workplace):
