@@ -39,6 +39,8 @@ class ClaimConfig(Table):
 
     @model_validator(mode="after")
     def _one_kind(self) -> ClaimConfig:
+        if self.better == self.than:
+            raise ValueError(f"better and than both name '{self.than}'; a claim compares two rows")
         if self.kind == "equal" and self.margin_pct is None:
             raise ValueError(
                 "an equality claim (kind = 'equal') needs margin_pct, the difference that still counts as none"

@@ -118,6 +118,7 @@ def test_verdicts_on_equality(percent, error, expected):
     [
         ({"kind": "equal"}, "needs margin_pct"),
         ({"margin_pct": 5.0}, "belongs to an equality claim"),
+        ({"than": "a"}, "both name 'a'"),
         ({"paper_improvement_pct": 0.0}, "kind = 'equal' and margin_pct"),
     ],
 )
