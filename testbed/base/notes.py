@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from testbed.base.errors import InputError, shown
 from testbed.base.resources import scenario_root
 from testbed.data.registry import make_estimator
 from testbed.flight.own import TrajectoryConfig
@@ -77,6 +78,18 @@ def _recorded(scenario: Scenario) -> list[str]:
     return list(load_recording(scenario.recording, scenario.folder).log.aiding)
 
 
+def check_sensors(estimator: Any) -> None:
+    """Raise InputError where an estimator says that it uses a sensor which no log has."""
+    from testbed.sensors.registry import SAMPLES
+
+    told, known = _sensors_of(estimator), ["imu", *SAMPLES]
+    for name in told or ():
+        if name not in known:
+            raise InputError(
+                f"'sensors' of estimator '{estimator.name}' names {shown(name)}; valid: {', '.join(known)}"
+            )
+
+
 def _sensors_of(estimator: Any) -> tuple[str, ...] | None:
     """What an estimator says that it uses (``sensors``); None where it does not say.
 
@@ -84,7 +97,12 @@ def _sensors_of(estimator: Any) -> tuple[str, ...] | None:
     """
     for kind in type(estimator).__mro__:
         if "sensors" in vars(kind):
-            return tuple(estimator.sensors)
+            return _names(estimator.sensors)
         if "run" in vars(kind):
-            return tuple(estimator.sensors) if "sensors" in getattr(estimator, "__dict__", {}) else None
+            return _names(estimator.sensors) if "sensors" in getattr(estimator, "__dict__", {}) else None
     return None
+
+
+def _names(told: Any) -> tuple[Any, ...]:
+    """Several names, or a single one that was given without a tuple."""
+    return (told,) if isinstance(told, str) else tuple(told)

@@ -19,7 +19,7 @@ import testbed
 from testbed import pipeline
 from testbed.base.checksums import DamagedError
 from testbed.base.errors import InputError, TestbedError, nearest, tell_user
-from testbed.base.notes import notes_of
+from testbed.base.notes import check_sensors, notes_of
 from testbed.data.records import Trajectory
 from testbed.montecarlo import executors
 from testbed.montecarlo.external import answers_digest
@@ -209,6 +209,7 @@ def prepare(setup: Setup) -> Trajectory:
     for k, entry in enumerate(scenario.estimators):
         try:
             estimator = make_estimator(entry.name, **entry.params)
+            check_sensors(estimator)
         except InputError as error:
             raise InputError(f"{scenario.source_path}: 'estimators.{k}': {error}") from None
         if (ready := getattr(estimator, "prepare", None)) is not None:

@@ -22,6 +22,9 @@ def workplace(tmp_path, monkeypatch):
     Path("full/something").write_text("text")
     Path("syntax.py").write_text("def run(:\n")
     Path("ends.py").write_text("import sys\nsys.exit(0)\n")
+    Path("gps.py").write_text(
+        "class Gps:\n    name = 'gps-only'\n    sensors = ('imu', 'gps')\n    def run(self, log):\n        return None\n"
+    )
     Path("nothing.py").write_text("x = 1\n")
     Path("taken.py").write_text("class Mine:\n    name = 'indirect-kf'\n    def run(self, log):\n        return None\n")
     Path("broken.toml").write_text("[flight\n")
@@ -103,6 +106,10 @@ MISTAKES = {
     "fly quickstart --set flight.rate_hz=50 --set flight.rate_hz=100": ["--set flight.rate_hz has no effect", "later"],
     "run quickstart --plugin syntax.py": ["syntax.py", "line 1"],
     "run quickstart --plugin ends.py": ["ends.py: the plug-in does not import: SystemExit: 0"],
+    "run quickstart --plugin gps.py --estimators gps-only": [
+        "'sensors' of estimator 'gps-only' names 'gps'",
+        "valid: imu,",
+    ],
     "run quickstart --plugin nothing.py": ["nothing.py", "run(log)"],
     "run quickstart --plugin absent.py": ["absent.py"],
     "run quickstart --plugin taken.py": ["taken.py", "'indirect-kf'", "ships"],
