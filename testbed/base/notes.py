@@ -104,5 +104,5 @@ def _sensors_of(estimator: Any) -> tuple[str, ...] | None:
 
 
 def _names(told: Any) -> tuple[Any, ...]:
-    """Several names, or a single one that was given without a tuple."""
-    return (told,) if isinstance(told, str) else tuple(told)
+    """Several names, or a single thing that was given in place of them."""
+    return tuple(told) if isinstance(told, tuple | list | set | frozenset) else (told,)

@@ -27,7 +27,7 @@ def check_arrays(
 
     ``repeats``: several rows may be of one time.
     """
-    t = np.ascontiguousarray(record.t, dtype=np.float64)
+    t = _numbers(record.t, what, "t")
     object.__setattr__(record, "t", t)
     if t.ndim != 1 or len(t) < minimum:
         raise InputError(f"{what}: needs at least {minimum} samples, has shape {t.shape}")
@@ -38,7 +38,7 @@ def check_arrays(
         k = int(np.argmin(rising)) + 1
         raise InputError(f"{what}: time must increase, but sample {k} is at {t[k]:.6g} s after {t[k - 1]:.6g} s")
     for name, shape in shapes.items():
-        values = np.ascontiguousarray(getattr(record, name), dtype=np.float64)
+        values = _numbers(getattr(record, name), what, name)
         object.__setattr__(record, name, values)
         wanted = (len(t), *shape)
         fits = values.ndim == len(wanted) and all(w in (None, v) for w, v in zip(wanted, values.shape, strict=True))
@@ -48,6 +48,21 @@ def check_arrays(
         if finite and not np.isfinite(values).all():
             k = int(np.argmin(np.isfinite(values).reshape(len(t), -1).all(axis=1)))
             raise InputError(f"{what}: '{name}' is not finite at sample {k} (t = {t[k]:.6g} s)")
+
+
+def _numbers(given: Any, what: str, name: str) -> NDArray[np.float64]:
+    """An array as float64. Raises InputError for anything but real numbers."""
+    check_real(given, what, name)
+    try:
+        return np.ascontiguousarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what}: '{name}' is no array of numbers ({error})") from None
+
+
+def check_real(given: Any, what: str, name: str) -> None:
+    """Raise InputError for complex numbers, whose imaginary part would be lost."""
+    if np.iscomplexobj(given):
+        raise InputError(f"{what}: '{name}' is complex; it must be of real numbers")
 
 
 MOST_STEPS = 20_000

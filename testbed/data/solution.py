@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
 from testbed.data.columns import Array, columns, exact_columns, pva_columns, read_pva, read_table, stack, write_table
-from testbed.data.shapes import check_arrays
+from testbed.data.shapes import check_arrays, check_real
 from testbed.data.shown import Shown
 
 if TYPE_CHECKING:
@@ -100,8 +100,8 @@ class NavSolution(Shown):
     ``covariance`` (K,n,n) are snapshots for consistency tests (about 1 Hz).
     ``innovations`` maps an aiding to its `Innovations`; one alone counts as ``gnss``. ``extras`` maps names to (time (J,),
     values (J,) or (J,c)) pairs: mode probabilities, fading factors, network outputs. Non-finite values are allowed: the
-    scorer counts them as divergence. Raises InputError for a wrong shape, times that do not increase, or a quaternion that
-    is not of unit length.
+    scorer counts them as divergence. Raises InputError for a wrong shape, complex numbers, times that do not increase, a
+    negative ``std``, or a quaternion that is not of unit length.
     """
 
     t: Array
@@ -132,10 +132,14 @@ class NavSolution(Shown):
         optional = {"accel_bias": (3,), "gyro_bias": (3,), "std": (len(self.states),)}
         shapes |= {key: shape for key, shape in optional.items() if getattr(self, key) is not None}
         check_arrays(self, "NavSolution", shapes, finite=False)
+        _check_std(self)
         _check_snapshots(self)
         for name, values in self.estimates.items():
+            check_real(values, "NavSolution", f"estimates.{name}")
             if np.shape(values) != self.t.shape:
                 raise InputError(f"NavSolution: estimate '{name}' has shape {np.shape(values)}, not {self.t.shape}")
+        for name, extra in self.extras.items():
+            check_real(extra[-1], "NavSolution", f"extras.{name}")
         norm = np.sqrt(np.einsum("ij,ij->i", self.q_nb, self.q_nb))
         if (off := np.abs(norm - 1.0) > UNIT_TOLERANCE).any():  # False where the norm is not finite: divergence
             k = int(np.argmax(off))
@@ -207,9 +211,20 @@ def _named_states(solution: NavSolution) -> tuple[str, ...]:
     return STATE_NAMES
 
 
+def _check_std(solution: NavSolution) -> None:
+    if solution.std is not None and (negative := solution.std < 0.0).any():
+        k, n = (int(i) for i in np.argwhere(negative)[0])
+        raise InputError(
+            f"NavSolution: 'std' is 1 sigma and must not be negative, but that of {solution.states[n]} is "
+            f"{solution.std[k, n]:.6g} at sample {k} (t = {solution.t[k]:.6g} s)"
+        )
+
+
 def _check_snapshots(solution: NavSolution) -> None:
     if solution.covariance is None and solution.covariance_t is None:
         return
+    for name in ("covariance", "covariance_t"):
+        check_real(getattr(solution, name), "NavSolution", name)
     n = len(solution.states)
     found = np.shape(np.asarray(solution.covariance)), np.shape(np.asarray(solution.covariance_t))
     if len(found[0]) != 3 or found[0] != (*found[1], n, n):

@@ -130,6 +130,31 @@ def test_states_must_fit_what_is_said_of_them():
         Innovations(np.arange(3.0), np.ones((3, 2)), np.ones((3, 1, 1)))
 
 
+def test_sigmas_are_not_negative_and_nothing_is_complex():
+    """A square root of a negative variance is a mistake of the filter; the imaginary part of an array would be lost."""
+    columns = navigation_columns(20, np.random.default_rng(4))
+    std = np.ones((20, 2))
+    std[7, 1] = -0.5
+    with pytest.raises(
+        InputError, match=r"'std' is 1 sigma and must not be negative, but that of b is -0.5 at sample 7"
+    ):
+        NavSolution(**columns, std=std, states=("a", "b"))
+    std[7, 1] = np.nan  # divergence
+    NavSolution(**columns, std=std, states=("a", "b"))
+    snapshots = {"covariance_t": np.arange(4.0), "covariance": np.ones((4, 2, 2)) + 0j, "states": ("a", "b")}
+    for wrong, named in (
+        (columns | {"h": columns["h"] + 0j}, "'h'"),
+        (columns | {"t": columns["t"] + 0j}, "'t'"),
+        (columns | snapshots, "'covariance'"),
+        (columns | {"estimates": {"own": columns["h"] + 0j}}, r"'estimates\.own'"),
+        (columns | {"extras": {"gain": (np.arange(4.0), np.ones(4) + 0j)}}, r"'extras\.gain'"),
+    ):
+        with pytest.raises(InputError, match=f"NavSolution: {named} is complex"):
+            NavSolution(**wrong)
+    with pytest.raises(InputError, match="NavSolution: 'h' is no array of numbers"):
+        NavSolution(**columns | {"h": ["high"] * 20})
+
+
 def test_a_solution_without_names_is_told_how_to_give_them():
     columns = navigation_columns(20, np.random.default_rng(4))
     with pytest.warns(FutureWarning, match=r"states=testbed.data.records.STATE_NAMES"):
