@@ -30,6 +30,7 @@ from testbed.montecarlo.store import FORMAT, KIND, Store, StoreError, batch_of, 
 from testbed.montecarlo.work_unit import Setup, envelope_times
 from testbed.scenario import LONGEST_TIMEOUT_S, Scenario
 from testbed.scenario.windows import cut_notes
+from testbed.scoring.verdicts import few_runs_notes
 from testbed.training.flights import TrainingFlights
 
 MOST_RUNS = 1_000_000
@@ -116,8 +117,9 @@ def run(
             client.close()
         tables = _tables(store, scenario, wanted, trajectory)
         pole = pole_notes(trajectory)
-        cut = cut_notes(scenario.windows, trajectory)
-        store.save(notes=[*store.manifest["notes"], *cut, *pole, *_of_first_run(store)])
+        told = [*cut_notes(scenario.windows, trajectory), *pole, *_of_first_run(store)]
+        few = few_runs_notes(tables.claims.to_dict("records"))
+        store.save(notes=[*store.manifest["notes"], *told, *few])
         seconds = round(time.monotonic() - started, 3)
         store.save(finished=True, runs=wanted, jobs=jobs, seconds=store.manifest.get("seconds", 0.0) + seconds)
     return Result(store.out, **vars(tables), notes=tuple(store.manifest["notes"]), near_pole=bool(pole))

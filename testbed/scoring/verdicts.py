@@ -7,7 +7,8 @@ corrected for their number (Holm 1979); a verdict that says something needs the 
 
 - ``reproduced``            lower: the interval is above 0 and reaches the source's figure; equal: it is inside of the margin
 - ``direction reproduced``  lower: the interval is above 0, but the source's figure is higher
-- ``not reproduced``        lower: the interval contains 0, or prints as 0.0 to 0.0; equal: it is outside of the margin
+- ``not reproduced``        lower: the interval contains 0, or prints as 0.0 to 0.0, or the corrected p-value is 0.05 or more;
+                            equal: it is outside of the margin
 - ``reversed``              lower: the interval is below 0
 - ``undecided``             equal: the interval reaches across the border of the margin
 - ``depends on runaways``   the verdict is another without the runs that lie far above all others, or ratio of means and
@@ -18,7 +19,7 @@ corrected for their number (Holm 1979); a verdict that says something needs the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,6 +41,8 @@ COLUMNS = (
 ALPHA = 1.0 - LEVEL
 AS_PRINTED_PCT = 0.05
 """An effect below this prints as 0.0 % and is none, however certain."""
+FEW_RUNS = 6
+"""Fewer do not give the median a 95 % interval, and Student's t then asks for 2.8 (five runs) to 12.7 (two) standard errors."""
 NOT_TESTED, RUNAWAYS, UNDECIDED = "not tested", "depends on runaways", "undecided"
 REPRODUCED, LESS, NOT_REPRODUCED, REVERSED = "reproduced", "direction reproduced", "not reproduced", "reversed"
 
@@ -64,6 +67,30 @@ def check_claims(
             rows[k] = _row(claims[k], str(k + 1), effects[k], runs)
             rows[k] |= {"verdict": verdict, "p_value": p_value, "p_holm": p_holm}
     return rows
+
+
+def few_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A sentence on the claims (rows of `COLUMNS`) whose interval leaves 0 out, and which fewer than `FEW_RUNS` do not settle.
+
+    Claims on computation time are not looked at: the notes of a result must not depend on the machine.
+    """
+    unsettled = [
+        row
+        for row in rows
+        if row["kind"] == "lower"
+        and row["metric"] != TIME_METRIC
+        and row["verdict"] == NOT_REPRODUCED
+        and row["n"] < FEW_RUNS
+        and row["p_holm"] >= ALPHA
+        and (row["ci_low"] >= AS_PRINTED_PCT or row["ci_high"] <= -AS_PRINTED_PCT)
+    ]
+    if not unsettled:
+        return []
+    named = ", ".join(str(row["id"]) for row in unsettled)
+    return [
+        f"not reproduced says little of so few runs: the interval leaves 0 out, but p, corrected for the number of claims, is not "
+        f"below {ALPHA:.2g}, which a verdict needs as well ({named}); more runs settle it"
+    ]
 
 
 def measure(claim: ClaimConfig, values: Values, seed: int) -> Effect | None:

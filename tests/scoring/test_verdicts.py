@@ -32,7 +32,7 @@ from testbed.scoring import effects
 from testbed.scoring.claims import ClaimConfig
 from testbed.scoring.effects import Effect, distinct_rows, effect
 from testbed.scoring.statistics import difference_p, holm
-from testbed.scoring.verdicts import check_claims, judge
+from testbed.scoring.verdicts import check_claims, few_runs_notes, judge
 
 FULL = bool(os.environ.get("TESTBED_FULL_COUNTS"))
 MARGIN = 10.0
@@ -274,6 +274,32 @@ def test_copies_of_a_pair_are_one_pair():
 def still(label, north_m, **params):
     """An estimator with the same error in every run."""
     return {"name": "still", "label": label, "params": {"north_m": north_m} | params}
+
+
+def test_few_runs_say_that_they_do_not_settle_a_claim():
+    """Half of the error in both of two runs: the interval leaves 0 out, Student's t of one degree of freedom does not."""
+    columns = {"a": np.array([1.0, 1.3]), "b": np.array([2.2, 2.4])}
+    timed = DIRECTION.model_copy(update={"metric": "us_per_sample"})
+    rows = check_claims([DIRECTION, timed], lambda row, *_: columns[row], 0)
+    for row in rows:
+        assert row["ci_low"] > 0.0 and row["p_holm"] > 0.05 and row["verdict"] == "not reproduced"
+    assert few_runs_notes(rows[1:]) == []
+    (note,) = few_runs_notes(rows)
+    assert "(1)" in note and "more runs settle it" in note
+    columns["a"][1] = 9.0  # the interval holds 0
+    assert few_runs_notes(check_claims([DIRECTION], lambda row, *_: columns[row], 0)) == []
+
+
+def test_a_batch_of_few_runs_has_the_note(tmp_path):
+    claim = mc.CLAIM | {"better": "a", "than": "b"}
+    rows = [
+        {"name": "noisy", "label": row, "params": {"sigma_m": 0.1, "common_m": common}}
+        for row, common in (("a", 1.0), ("b", 2.0))
+    ]
+    result = runner.run(mc.scenario(rows, runs=2, claims=[claim]), tmp_path / "out", jobs=1, plugins=[mc.PLUGIN])
+    assert "says little of so few runs" in result.notes[0]
+    assert list(result.notes) == few_runs_notes(result.claims.to_dict("records"))
+    assert list(load_result(result.out).manifest["notes"]) == list(result.notes)
 
 
 def test_identical_runs_are_one_run_everywhere(tmp_path, capsys):
