@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 LEFT_OUT = ("rmse_attitude_deg",)
 """Compared in reports, not on a narrow screen."""
+LEAST_SPAN_S = 1.0
+"""Time from which on a rate is one: runs that are filtered side by side are all done at once."""
 SHOWN = {metric: f"{short_label(metric)} {unit(metric)}" for metric in COMPARED if metric.startswith("rmse_")}
 TABLE_METRICS = {metric: label for metric, label in SHOWN.items() if metric not in LEFT_OUT}
 
@@ -91,8 +93,9 @@ def progress_line(what: str, note: Callable[[], str] = str) -> Iterator[Callable
             told = tenth
             elapsed = time.monotonic() - start
             since, before = first or (start, 0)
-            rate = (done - before) / max(time.monotonic() - since, 1e-9)
-            left = f", {(total - done) / rate:.0f} s left" if rate > 0.0 and done < total else ""
+            span = time.monotonic() - since
+            known = span >= LEAST_SPAN_S and before < done < total
+            left = f", {max(1.0, (total - done) * span / (done - before)):.0f} s left" if known else ""
             print(f"{what}: {done} of {total}, {elapsed:.0f} s{left}", file=sys.stderr, flush=True)
 
     yield tell

@@ -155,3 +155,20 @@ def test_the_time_left_counts_from_the_first_run(monkeypatch, capsys):
     told = capsys.readouterr().err.splitlines()
     assert told[-1].startswith("runs: 2 of 10") and "left" not in told[0]
     assert 1.0 <= float(told[-1].split(", ")[-1].removesuffix(" s left")) <= 10.0
+
+
+def test_runs_that_are_done_at_once_say_nothing_of_the_time_left(monkeypatch, capsys):
+    """Eight runs side by side in 7 s, then the next eight in 5 s: of twenty the last four take 2.5 s more, not none."""
+    from testbed.cli.console import progress_line
+
+    clock = 0.0
+    monkeypatch.setattr("time.monotonic", lambda: clock)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: False, raising=False)
+    with progress_line("runs") as tell:
+        tell(0, 20)
+        for k in range(1, 17):
+            clock = (7.0 if k <= 8 else 12.0) + 0.001 * k
+            tell(k, 20)
+    told = capsys.readouterr().err.splitlines()
+    assert told[4].startswith("runs: 8 of 20, 7 s") and not any("left" in line for line in told[:5])
+    assert told[-1] in ("runs: 16 of 20, 12 s, 1 s left", "runs: 16 of 20, 12 s, 2 s left")
