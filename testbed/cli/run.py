@@ -70,8 +70,8 @@ def run(
     # its first point may complete the settings
     whole = load({key: values[0] for key, values in grid.items()})
     scenario = _choose_estimators(whole, estimators, external)
-    if left := [claim.id or describe_claim(claim) for claim in whole.active_claims() if claim not in scenario.claims]:
-        tell_user(f"note: not judged, as --estimators leaves out a row that they name: {', '.join(left)}")
+    left = [claim.id or describe_claim(claim) for claim in whole.active_claims() if claim not in scenario.claims]
+    notes = [f"not judged, as --estimators leaves out a row that they name: {', '.join(left)}"] if left else []
     for option, key, given in (("--runs", "runs", runs), ("--timeout", "timeout_s", options.get("timeout"))):
         if given is not None:
             check_once(scenario.settings, f"monte_carlo.{key}", option)
@@ -90,10 +90,12 @@ def run(
         auto = testbed.montecarlo.runner.Auto(width, cap or CAP, min(FIRST, cap or CAP))
         count = auto if runs in (None, "auto") else run_count(runs)
         _readings(lambda name: loaded({}, name), out, count, report, **options)
+        _tell(notes)
         return
     count = testbed.montecarlo.runner.Auto(width, cap or AUTO_CAP) if runs == "auto" else run_count(runs)
     if sweep:
         _sweep(loaded, grid, folder, runs=count, **drawn, **options)
+        _tell(notes)
         return
     started = time.time()
     _announce_compilation()
@@ -114,8 +116,7 @@ def run(
         tell_user(f"{used - counted} of {used} runs are copies of others: nothing in them varied, and they count once")
     print_summary(scenario, result.summary, result.runs, result.near_pole)
     sys.stdout.flush()
-    for note in result.notes:
-        tell_user(f"note: {note}")
+    _tell([*result.notes, *notes])
     print_failures(result.runs)
     if not result.claims.empty:
         print_claims(result.claims)
@@ -129,6 +130,11 @@ def run(
                 f"{folder}: stopped before the report was made; testbed report {folder} makes it"
             ) from None
     print(f"report: {folder / 'report.html'}" if report else f"tables: {folder}; the report: testbed report {folder}")
+
+
+def _tell(notes: Sequence[str]) -> None:
+    for note in notes:
+        tell_user(f"note: {note}")
 
 
 def _grid(sweep: list[str]) -> dict[str, list[Any]]:
