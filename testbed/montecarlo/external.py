@@ -22,7 +22,7 @@ from testbed.base.errors import InputError, closest, tell_user
 from testbed.data.columns import columns, exact_columns, pva_columns
 from testbed.data.records import STATE_NAMES, InitialState, NavSolution, SensorLog
 from testbed.data.shapes import gaps_of
-from testbed.montecarlo.folders import MANIFEST, read_manifest
+from testbed.montecarlo.folders import MANIFEST, read_manifest, tables_that_differ
 from testbed.scenario import EXTERNAL, EstimatorConfig, Scenario
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def _check_logs(folder: Path, scenario: Scenario) -> dict[str, Any]:
         raise InputError(f"{folder}: holds no logs of 'testbed sense SCENARIO --runs N' (no {MANIFEST} of them)")
     here, there = sensed_by(scenario), manifest.get("sensed")
     there = there if isinstance(there, Mapping) else {}
-    other = [f"[{key}]" for key in here if key not in NOT_SENSED and there.get(key) != here[key]]
+    other = tables_that_differ(*({k: v for k, v in side.items() if k not in NOT_SENSED} for side in (here, there)))
     if not other and there != here:
         other = [
             f"version {there.get('testbed')}" if there.get("testbed") != here["testbed"] else "the aircraft's model"

@@ -39,6 +39,11 @@ def read_manifest(folder: str | Path, kind: str) -> dict[str, Any] | None:
     return manifest
 
 
+def tables_that_differ(here: Mapping[str, Any], there: Mapping[str, Any]) -> list[str]:
+    """Of two scenarios (content or hash of each table by its name) the tables that are not the same, as messages name them."""
+    return [f"[{key}]" for key in dict.fromkeys([*here, *there]) if here.get(key) != there.get(key)]
+
+
 def _inside(name: str) -> bool:
     """Whether a listed name stays in its folder: a manifest must not lead the bench to files elsewhere."""
     return not Path(name).is_absolute() and ".." not in Path(name).parts and "\0" not in name

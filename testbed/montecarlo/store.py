@@ -24,8 +24,10 @@ import numpy as np
 from testbed.base.checksums import DamagedError, digest, is_sealed, sealed_parquet, unsealed
 from testbed.base.errors import InputError
 from testbed.base.files import StoreError, from_json, left_over, remove, write_atomic, writing
-from testbed.montecarlo.folders import MANIFEST, Folder, check_own, read_manifest
+from testbed.base.schema import parse_toml
+from testbed.montecarlo.folders import MANIFEST, Folder, check_own, read_manifest, tables_that_differ
 from testbed.montecarlo.work_unit import Outcome, UnitResult
+from testbed.scenario import PRESENTED
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -128,7 +130,7 @@ class Store(Folder):
         """
         previous = check_own(Path(out), KIND)
         if resume and previous is not None:
-            _check_identity(out, previous, identity)
+            _check_identity(Path(out), previous, identity, scenario_toml)
         elif previous is not None:
             _check_replaceable(Path(out), previous)
         store = cls.open(out, KIND)
@@ -213,16 +215,33 @@ def _is_run(path: Path) -> bool:
     return not content or content.startswith(b"PAR1") or is_sealed(content)
 
 
-def _check_identity(out: str | Path, previous: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
-    """Raise InputError where a folder holds another batch."""
+def _check_identity(out: Path, previous: Mapping[str, Any], identity: Mapping[str, Any], scenario_toml: str) -> None:
+    """Raise InputError where a folder holds another batch; of another scenario the tables that differ are named."""
     known = previous.get("identity")
     known = known if isinstance(known, dict) else {}
     for key, value in identity.items():
         if known.get(key) != value:
+            what = f"{key} was {known.get(key)}, is {value}"
+            if key == "scenario":
+                other = _other_tables(out / "scenario.toml", scenario_toml)
+                what = f"{', '.join(other)} {'differs' if len(other) == 1 else 'differ'}"
             raise InputError(
-                f"{out}: holds results of another batch ({key} was {known.get(key)}, is {value}); "
+                f"{out}: holds results of another batch ({what}); "
                 "resume with the scenario, seed, estimators and plug-ins it was started with, or give another --out"
             )
+
+
+def _other_tables(stored: Path, scenario_toml: str) -> list[str]:
+    """The tables in which the scenario of a batch and a stored one differ, of those that determine a run."""
+    try:
+        tables = [parse_toml(text, str(stored)) for text in (scenario_toml, stored.read_text(encoding="utf-8"))]
+    except (InputError, OSError, UnicodeDecodeError):
+        return ["the scenario"]
+    for table in tables:
+        for key in PRESENTED:
+            table.pop(key, None)
+        table.get("monte_carlo", {}).pop("runs", None)
+    return tables_that_differ(*tables) or ["a file that the scenario names, or the aircraft's model,"]
 
 
 def _check_replaceable(out: Path, previous: Mapping[str, Any]) -> None:

@@ -8,6 +8,7 @@ from testbed.scenario.load import find_scenario, list_scenarios, load_scenario, 
 from testbed.scenario.model import (
     EXTERNAL,
     LONGEST_TIMEOUT_S,
+    PRESENTED,
     EstimatorConfig,
     MonteCarloConfig,
     Scenario,
@@ -18,6 +19,7 @@ from testbed.scenario.settings import check_once, hides, merge, parse_setting, p
 __all__ = [
     "EXTERNAL",
     "LONGEST_TIMEOUT_S",
+    "PRESENTED",
     "EstimatorConfig",
     "MonteCarloConfig",
     "Scenario",

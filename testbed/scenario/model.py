@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 Positive = Annotated[float, Field(gt=0)]
 EXTERNAL = "external"
 """The estimator whose answers other programs made (`testbed.montecarlo.external`)."""
+PRESENTED = ("claims", "readings", "tables")
+"""Tables of a scenario on which no run depends."""
 LONGEST_TIMEOUT_S = 1e8
 """Three years; the timers of the operating system take no infinity."""
 
@@ -323,7 +325,7 @@ class Scenario(Table):
         """Hash of all that determines the results of one run: everything but the number of runs, the claims, the readings."""
         data = self._content()
         data["monte_carlo"].pop("runs")
-        for presentation in ("claims", "readings", "tables"):
+        for presentation in PRESENTED:
             data.pop(presentation, None)
         return _hash_of(data)
 

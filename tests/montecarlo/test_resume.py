@@ -169,14 +169,20 @@ def test_more_runs_extend_a_result(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", [{"seed": 2}, {"sensors": {"imu": {"model": "ADIS16448"}}}, {"estimators": [mc.GOOD]}]
+    ("change", "told"),
+    [
+        ({"seed": 2}, r"\(\[monte_carlo\] differs\)"),
+        ({"sensors": {"imu": {"model": "ADIS16448"}}}, r"\(\[sensors\] differs\)"),
+        ({"estimators": [mc.GOOD]}, r"\(\[estimators\] differs\)"),
+        ({"seed": 2, "initial": {"yaw_deg": 9.0}}, r"\(\[initial\], \[monte_carlo\] differ\)"),
+    ],
 )
-def test_a_changed_scenario_is_not_resumed(tmp_path, change):
+def test_a_changed_scenario_is_not_resumed(tmp_path, change, told):
     rows = change.get("estimators", [mc.GOOD, mc.BAD])
     runner.run(mc.scenario([mc.GOOD, mc.BAD], runs=2), tmp_path / "out", jobs=1, plugins=[mc.PLUGIN])
     before = (tmp_path / "out" / "summary.csv").read_bytes()
     changed = mc.scenario(rows, runs=4, **{k: v for k, v in change.items() if k != "estimators"})
-    with pytest.raises(InputError, match="another batch"):
+    with pytest.raises(InputError, match=f"another batch {told}"):
         runner.run(changed, tmp_path / "out", jobs=1, resume=True, plugins=[mc.PLUGIN])
     assert (tmp_path / "out" / "summary.csv").read_bytes() == before
 
