@@ -165,7 +165,7 @@ def test_parameter_file_gives_the_stored_objective(study, tmp_path):
 
 
 def test_stop_rules():
-    config = tune_config(scenario(target=1.0, population=2, stall=2))
+    config = tune_config(scenario(target=1.0, population=2, stall=2, algorithms=["pso"]))
     rule = tune.StopRule(config)
     assert not rule.stops(np.array([5.0, 4.0]))
     assert not rule.stops(np.array([4.0, 6.0]))
