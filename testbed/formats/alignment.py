@@ -22,7 +22,7 @@ from testbed.formats import first_motion
 from testbed.formats.config import AlignmentConfig
 from testbed.formats.first_motion import Rest, Start
 from testbed.formats.kinematics import accumulated, from_rotvec, multiply
-from testbed.formats.recording import interpolate_motion
+from testbed.formats.recording import interpolate_motion, seconds
 from testbed.physics import earth
 from testbed.physics.rotations import euler_error_matrix, euler_to_quat, quat_to_euler, quats_to_matrices
 
@@ -109,7 +109,7 @@ def align(
     if gnss is not None:
         gnss = _from(gnss, t)
     if start == "gnss" and (gnss is None or not len(gnss.t)):
-        raise InputError(f"{place}: no fix lies within the IMU's samples from {t:.6g} s on")
+        raise InputError(f"{place}: no fix lies within the IMU's samples from {seconds(t)} s on")
     if config.declination_deg is not None and (mag is None or not len(mag.t)):
         raise InputError(
             f"{place}: [recording.initial] declination_deg has no effect: the recording has no magnetometer"
@@ -192,7 +192,9 @@ def cut_before(imu: ImuSamples, t_start: float, needed: float, place: str) -> tu
     boundaries = np.concatenate([[t_start], imu.t])
     first = max(int(np.searchsorted(boundaries, needed + 1e-9, side="right")) - 1, 0)
     if len(imu.t) - first < 2:
-        raise InputError(f"{place}: the first fix or reference is at {needed:.6g} s, the IMU ends at {imu.t[-1]:.6g} s")
+        raise InputError(
+            f"{place}: the first fix or reference is at {seconds(needed)} s, the IMU ends at {seconds(imu.t[-1])} s"
+        )
     return replace(imu, t=imu.t[first:], gyro=imu.gyro[first:], accel=imu.accel[first:]), float(boundaries[first])
 
 

@@ -22,7 +22,7 @@ from testbed.formats.alignment import LEVELLING, Given, align, cut_before, turne
 from testbed.formats.config import RecordingConfig
 from testbed.formats.first_motion import with_derived_velocity
 from testbed.formats.raw import Raw
-from testbed.formats.recording import Recording, mounting, reference_on_grid
+from testbed.formats.recording import Recording, mounting, reference_on_grid, seconds
 from testbed.physics.earth import G0
 from testbed.physics.rotations import quat_to_matrix
 
@@ -244,7 +244,7 @@ def _cut(config: RecordingConfig, recording: Recording, place: str) -> Recording
     end = np.inf if config.end_s is None else config.end_s + 1e-9
     if int((log.imu.t <= end).sum()) < 2:
         raise InputError(
-            f"{place}: end_s = {config.end_s} leaves no data; the recording begins at {log.initial.t:.6g} s"
+            f"{place}: end_s = {config.end_s} leaves no data; the recording begins at {seconds(log.initial.t)} s"
         )
     if np.isfinite(end):
         aiding = {kind: _select(samples, samples.t <= end) for kind, samples in log.aiding.items()}

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from testbed.base.errors import InputError
 from testbed.data.records import Array, GnssFixes
 from testbed.data.shapes import gaps_of
-from testbed.formats import agreement, first_motion
+from testbed.formats import agreement, first_motion, reference_motion
 from testbed.formats.raw import Raw
+from testbed.formats.recording import seconds
+from testbed.formats.reference_motion import DISTANCE_S, MOST_ROWS, slope
 from testbed.physics import earth
 from testbed.physics.earth import G0
 from testbed.physics.rotations import quats_to_matrices
@@ -30,23 +32,30 @@ OFF_REFERENCE_M = 50.0
 """Further than a geoid undulation is rare among receivers; below it nothing is said."""
 FACTORS = {"g": G0, "mg": 1e-3 * G0, "ft/s²": 0.3048}
 """Units that an accelerometer's numbers are often in, to m/s²."""
-DISTANCE_S = 10.0
-"""Over which distances are compared: a metre of position noise is then 0.1 m/s."""
 STRAY_SIGMAS, STRAY_M, STRAY_MPS2 = 20.0, 50.0, 100.0
 """A step off the way by twenty sigma, 50 m and what 10 g make of it is not the vehicle's."""
 SPIKES = {"gyro": (3.0, "rad/s"), "accel": (60.0, "m/s²")}
 """Off both neighbours by so much, a sample alone turns the levelling of 2 s at 100 Hz by 2°; 6 g is more than any but shocks."""
 SPIKE_FACTOR = 50.0
 """Times what one sample in a hundred is off its neighbours: vibration and landings are shocks among others."""
-MOST_ROWS = 20_000
-"""Rows that are compared: the mean or median of so many says as much as that of all."""
+IMU_HZ = (1.0, 40e3)
+"""Rates of an IMU recording: a vehicle swings and turns within seconds, which slower samples miss; MEMS IMUs end at 32 kHz."""
+SLOW_IMU_HZ = 5.0
+"""The slowest setting of phones; a swing or a manoeuvre of a second wants several samples. In ms, 5 kHz would be this."""
+THOUSAND = (500.0, 2000.0)
+"""Ratio of two spans of time of one recording that differ by milliseconds for seconds, to a factor of two between them."""
+FEWEST_INSIDE = 3
+"""Rows of a sensor while the IMU records, below which nothing can be filtered or scored with them."""
+LEAST_SHARED = 0.1
+"""Of the shorter of two files' times: loggers of one vehicle are started and stopped minutes apart, not nine tenths."""
 
 
 def check(raw: Raw) -> list[str]:
     """Sentences on what was found. Drops fixes that are none and such as lie before the IMU; raises InputError."""
     notes: list[str] = []
     _absurd(raw)
-    _overlaps(raw)
+    notes += _rates(raw)
+    notes += _overlaps(raw)
     if raw.gnss is not None:
         _places(raw.gnss.lat, raw.place("gnss"))
         notes += _no_fixes(raw)
@@ -60,7 +69,7 @@ def check(raw: Raw) -> list[str]:
     notes += _gravity(raw)
     notes += _gaps(raw)
     if raw.motion is not None:
-        _reference_turns(raw)
+        notes += reference_motion.check(raw)
         notes += _reference_place(raw)
     if raw.gnss is not None:
         notes += _velocities(raw)
@@ -95,19 +104,70 @@ def _absurd(raw: Raw) -> None:
             )
 
 
-def _overlaps(raw: Raw) -> None:
+def _rates(raw: Raw) -> list[str]:
+    """IMU times in another unit than their name says, and an initial state that does not lie before them."""
+    imu = raw.imu
+    assert imu is not None
+    place = raw.place("imu")
+    rate = 1.0 / float(np.median(np.diff(imu.t)))
+    if not IMU_HZ[0] * 0.99 <= rate <= IMU_HZ[1]:
+        raise InputError(
+            f"{place}: has {rate:.4g} samples a second, an IMU recording has {IMU_HZ[0]:g} to {IMU_HZ[1]:g};"
+            f" {_time_question(place, rate < 1.0)}"
+        )
+    if raw.t_start >= imu.t[0]:
+        raise InputError(
+            f"{place}: the first sample is at {seconds(imu.t[0])} s, and the initial state (log.json) at {seconds(raw.t_start)} s:"
+            " it must lie before, where the first sample's interval begins"
+        )
+    if rate < SLOW_IMU_HZ:
+        return [
+            f"{place}: has {rate:.4g} samples a second, too few for the motion of most vehicles;"
+            f" {_time_question(place, True)}"
+        ]
+    return []
+
+
+def _time_question(place: str, slow: bool) -> str:
+    """Whether times are in another unit, and in tables how a column says so."""
+    table = place.endswith((".csv", ".parquet"))
+    if slow:
+        return "are its times in milliseconds?" + (" Such a column is called time_ms" if table else "")
+    return "are its times in another unit?" + (" Columns are called time_s, time_ms, time_us, time_ns" if table else "")
+
+
+def _overlaps(raw: Raw) -> list[str]:
+    """Times of the other tables against those of the IMU: none, a thousandth or hardly any in common."""
     assert raw.imu is not None
+    notes = []
     start, end = raw.t_start, float(raw.imu.t[-1])
     times = {name: samples.t for name, samples in parts_of(raw).items() if name != "imu"}
     if raw.motion is not None:
         times["reference"] = raw.motion[0]
     for name, t in times.items():
-        if len(t) and (t[-1] < start - 1e-9 or t[0] > end + 1e-9):
-            key = f"recording.{name} clock_s" if name != "reference" else "recording.imu clock_s"
+        if not len(t):
+            continue
+        span, place = float(t[-1] - t[0]), raw.place(name)
+        told = f"{place}: {seconds(t[0])} to {seconds(t[-1])} s"
+        imu = f"the IMU, {seconds(start)} to {seconds(end)} s"
+        thousand = THOUSAND[0] < max(span / (end - start), (end - start) / max(span, 1e-9)) < THOUSAND[1]
+        asked = f"; {_time_question(place if span > end - start else raw.place('imu'), True)}" if thousand else ""
+        inside = int(((t >= start - 1e-9) & (t <= end + 1e-9)).sum())
+        if t[-1] < start - 1e-9 or t[0] > end + 1e-9:
+            own = name in ("gnss", "mag", "baro")
+            shift = (start - float(t[0])) * (1.0 if own else -1.0)
             raise InputError(
-                f"{raw.place(name)}: {t[0]:.6g} to {t[-1]:.6g} s does not overlap the IMU, {start:.6g} to {end:.6g} s;"
-                f" if the clocks differ, {key} says by how much"
+                f"{told} does not overlap {imu}; if the clocks differ, recording.{name if own else 'imu'} clock_s says by how much"
+                f" ({seconds(shift)} would let both begin together){asked}"
             )
+        if thousand and len(t) > FEWEST_INSIDE and inside < FEWEST_INSIDE:
+            raise InputError(f"{told} has {inside} of its {len(t)} rows within the times of {imu}{asked}")
+        shared = min(float(t[-1]), end) - max(float(t[0]), start)
+        if (len(t) > FEWEST_INSIDE and inside < FEWEST_INSIDE) or shared < LEAST_SHARED * min(span, end - start):
+            notes.append(
+                f"{told} has {inside} of its {len(t)} rows within the times of {imu}: do the clocks differ?{asked}"
+            )
+    return notes
 
 
 def _places(lat: Array, place: str) -> None:
@@ -301,44 +361,10 @@ def _gaps(raw: Raw) -> list[str]:
             longest = max(found, key=lambda gap: gap[1] - gap[0])
             count = f"{len(found)} gaps, the longest" if len(found) > 1 else "a gap"
             notes.append(
-                f"{raw.place(name)}: {count} from {longest[0]:.6g} to {longest[1]:.6g} s ({longest[1] - longest[0]:.3g} s)"
+                f"{raw.place(name)}: {count} from {seconds(longest[0])} to {seconds(longest[1])} s ({longest[1] - longest[0]:.3g} s)"
                 + (", which no filter can bridge well; the rest is scored" if name == "imu" else "")
             )
     return notes
-
-
-def _reference_turns(raw: Raw) -> None:
-    """Gyro turns against those of the reference's attitude: their ratio is 1, or 57 where a unit is wrong."""
-    assert raw.imu is not None and raw.motion is not None
-    from testbed.formats.kinematics import conjugate, multiply, to_rotvec
-
-    t, q = raw.motion[0], raw.motion[5]
-    inside = (t >= raw.imu.t[0]) & (t <= raw.imu.t[-1])
-    t, q = t[inside], q[inside]
-    step = max(1, len(t) // MOST_ROWS)
-    t, q = t[::step], q[::step]
-    if len(t) < 30:
-        return
-    turn = np.linalg.norm(to_rotvec(multiply(conjugate(q[:-1]), q[1:])), axis=1)
-    swept = np.linalg.norm(_integral(raw.imu.t, raw.imu.gyro, t), axis=1)
-    ratio, similar = _slope(turn, swept)
-    if similar > 0.7 and np.median(turn / np.diff(t)) > np.radians(0.5) and not 0.2 < ratio < 5.0:
-        unit = "°/s named rad/s" if ratio > 5.0 else "rad/s named °/s"
-        raise InputError(
-            f"{raw.place('imu')}: the gyros turn {ratio:.3g} times as fast as the reference's attitude: are the rates {unit}?"
-        )
-
-
-def _integral(t: Array, values: Array, at: Array) -> Array:
-    """Integrals of interval means (N,3) at ``t`` between the times ``at``."""
-    total = np.vstack([np.zeros(3), np.cumsum(values[1:] * np.diff(t)[:, None], axis=0)])
-    return np.diff(np.column_stack([np.interp(at, t, total[:, i]) for i in range(3)]), axis=0)
-
-
-def _slope(x: Array, y: Array) -> tuple[float, float]:
-    """Slope of y over x through the origin, and the cosine between them."""
-    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
-    return (xy / xx, xy / np.sqrt(xx * yy)) if xx > 0.0 and yy > 0.0 else (0.0, 0.0)
 
 
 def _reference_place(raw: Raw) -> list[str]:
@@ -371,13 +397,13 @@ def _velocities(raw: Raw) -> list[str]:
     way = np.vstack([np.zeros(3), np.cumsum(0.5 * (g.v_n[1:] + g.v_n[:-1]) * np.diff(g.t)[:, None], axis=0)])
     moved, shown = ned, np.diff(way[rows], axis=0)
     notes = []
-    ratio, similar = _slope(shown[:, :2].ravel(), moved[:, :2].ravel())
+    ratio, similar = slope(shown[:, :2].ravel(), moved[:, :2].ravel())
     if np.median(np.linalg.norm(g.v_n[:, :2], axis=1)) > 1.0 and (similar < 0.5 or not 0.8 < ratio < 1.25):
         notes.append(
             f"{raw.place('gnss')}: the positions move {ratio:.3g} times as far as the velocities say (similarity {similar:.2f}):"
             " units, or north and east exchanged?"
         )
-    ratio, similar = _slope(shown[:, 2], moved[:, 2])
+    ratio, similar = slope(shown[:, 2], moved[:, 2])
     if similar < -0.5:
         notes.append(f"{raw.place('gnss')}: the height falls when v_down is negative: is it the velocity upwards?")
     return notes

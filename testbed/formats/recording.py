@@ -41,6 +41,11 @@ class Recording:
     """Whether the velocities of its fixes are derived from their positions."""
 
 
+def seconds(t: float) -> str:
+    """A time in a message, to the millisecond, also where it counts from an epoch."""
+    return f"{round(float(t), 3) + 0.0:.3f}".rstrip("0").rstrip(".")
+
+
 def check_time(t: Array, place: str) -> Array:
     """Finite, increasing time (N,). Raises InputError that names ``place`` and the sample."""
     check_finite(t, place)
@@ -159,7 +164,8 @@ def reference_on_grid(grid: Array, motion: tuple[Array, ...], name: str, own_tim
     inside = grid[(grid >= t[0] - 1e-9) & (grid <= t[-1] + 1e-9)]
     if len(inside) < 2:
         raise InputError(
-            f"{name}: the reference ({t[0]:.6g} to {t[-1]:.6g} s) does not overlap the IMU ({grid[0]:.6g} to {grid[-1]:.6g} s)"
+            f"{name}: the reference ({seconds(t[0])} to {seconds(t[-1])} s) does not overlap the IMU ({seconds(grid[0])} to"
+            f" {seconds(grid[-1])} s)"
         )
     own_times = own_times or bool(np.diff(t).max() > SLOWEST_REFERENCE)
     if own_times:

@@ -13,7 +13,7 @@ import pytest
 from testbed.base.errors import InputError
 from testbed.data.records import SensorLog, Trajectory
 from testbed.formats import export_log, import_log
-from testbed.formats.recording import Recording
+from testbed.formats.recording import Recording, seconds
 
 IMU = {
     "gyro_turn_on_bias_dps": 0.05,
@@ -78,6 +78,21 @@ REFUSED = {
     "latitude beyond 90": ("gnss", lambda f: f.assign(lat_deg=f["lat_deg"] + 50.0), ["gnss.csv", "±90°"]),
     "sigma of zero": ("gnss", lambda f: f.assign(**sigmas(0.0)), ["gnss.csv", "std_north_m is 0 at sample 0"]),
     "negative sigma": ("gnss", lambda f: f.assign(**sigmas(-1.0)), ["gnss.csv", "std_north_m is -1 at sample 0"]),
+    "milliseconds named seconds": (
+        "imu",
+        lambda f: f.assign(time_s=f["time_s"] * 1e3),
+        ["imu.csv", "0.1 samples a second", "1 to 40000", "time_ms"],
+    ),
+    "seconds named milliseconds": (
+        "imu",
+        lambda f: f.assign(time_s=f["time_s"] * 1e-3),
+        ["imu.csv", "1e+05 samples a second", "time_s"],
+    ),
+    "fixes in milliseconds": (
+        "gnss",
+        lambda f: f.assign(time_s=(f["time_s"] - f["time_s"][0]) * 1e3),
+        ["gnss.csv", "1 of its 450 rows", "time_ms"],
+    ),
     "repeated stamp": ("imu", lambda f: pd.concat([f[:50], f[49:]]), ["imu.csv", "sample 50", "increase"]),
 }
 
@@ -125,6 +140,50 @@ def test_rows_without_a_fix_are_left_out(log: SensorLog, trajectory: Trajectory,
     assert any(
         "gnss.csv: sample 0 lies at latitude 0, longitude 0" in note and "2 such" in note for note in recording.notes
     )
+
+
+def test_times_since_an_epoch_are_told_with_their_offset(log, tmp_path: Path) -> None:
+    """Fixes of Unix time beside an IMU that counts from 0: what the message offers as clock_s mends it."""
+    tables(log, None, tmp_path)
+    change(tmp_path, "gnss", lambda f: f.assign(time_s=f["time_s"] + 1714560000.0))
+    with pytest.raises(InputError) as caught:
+        read(tmp_path)
+    assert "gnss.csv: 1714560000.2 to 1714560090 s does not overlap the IMU, 0 to 90 s" in str(caught.value)
+    offset = float(str(caught.value).split("clock_s says by how much (")[1].split()[0])
+    assert offset == pytest.approx(-1714560000.2, abs=1e-6)
+    assert read(tmp_path, gnss=GNSS | {"clock_s": offset}).log.gnss.t[-1] == pytest.approx(89.8, abs=1e-6)
+
+
+def test_times_keep_their_milliseconds() -> None:
+    assert [seconds(t) for t in (1714560000.02, 29.990000000000002, 20.0, -1e-9)] == [
+        "1714560000.02",
+        "29.99",
+        "20",
+        "0",
+    ]
+
+
+def test_hardly_any_common_time_is_doubted(log, trajectory, tmp_path: Path) -> None:
+    tables(log, trajectory, tmp_path)
+    change(tmp_path, "mag", lambda f: f.assign(time_s=f["time_s"] + 85.0))
+    (told,) = [note for note in read(tmp_path).notes if "do the clocks differ" in note]
+    assert "mag.csv" in told and "within the times of the IMU, 0 to 90 s" in told
+
+
+def test_an_initial_state_after_the_first_sample_is_refused(log, tmp_path: Path) -> None:
+    export_log(log, tmp_path, "csv")
+    change(tmp_path, "imu", lambda f: f.assign(time_s=f["time_s"] - f["time_s"][0]))
+    with pytest.raises(
+        InputError, match=r"imu.csv: the first sample is at 0 s, and the initial state \(log.json\) at 0 s"
+    ):
+        import_log("table", tmp_path)
+
+
+def test_a_slow_imu_is_doubted(log, tmp_path: Path) -> None:
+    """Every 40th sample of 100 a second."""
+    tables(log, None, tmp_path)
+    change(tmp_path, "imu", lambda f: f[::40])
+    assert any("imu.csv: has 2.5 samples a second, too few" in note for note in read(tmp_path).notes)
 
 
 def zero(frame: pd.DataFrame, t: float) -> pd.DataFrame:
