@@ -25,10 +25,14 @@ LEAST_WAY_M = 5.0
 """Root mean square of the compared ways: five times the metre by which the places of a poor reference wander meanwhile."""
 UNITS = {"km/h": 3.6, "knots": 3600.0 / 1852.0, "ft/s": 1.0 / 0.3048}
 """Units that velocities are often in, and how many of each are a metre a second."""
-TURN_S = 1.0
-"""Over which turns are compared: longer ones of an agile body pass half a turn, of which nobody knows the direction."""
+SHORTEST_TURN_S, TURN_S, SLOW_TURN_S = 0.1, 1.0, 10.0
+"""Over which turns are compared: about a radian of the gyros', as of more than half a turn nobody knows the direction; the
+longest for vehicles that turn by less than `LEAST_TURN` in a second."""
 LEAST_TURN = np.radians(5.0)
-"""Root mean square turn in `TURN_S`: cheap gyros have biases of up to 3 °/s, and a reference's noise is a degree."""
+"""Root mean square turn of the reference, or of the gyros in a second: a reference's noise is a degree, cheap gyros have
+biases of up to 3 °/s."""
+SAME_MOTION = 0.7
+"""Cosine of 45° between the turns of both, within which another unit leaves them: noise and biases have no common direction."""
 LEAST_AXIS = np.radians(2.0)
 """The same about one axis that is judged by its sign alone, which a bias does not turn."""
 FURTHEST_TURN = 2.5
@@ -46,8 +50,7 @@ LARGEST_IN_RAD = 2.0 * np.pi
 
 def check(raw: Raw) -> list[str]:
     """Sentences on a reference that contradicts itself or the gyros. Raises InputError where a unit is wrong."""
-    _unit_of_turns(raw)
-    return []
+    return _velocity(raw) + _turns(raw)
 
 
 def slope(x: Array, y: Array) -> tuple[float, float]:
@@ -98,23 +101,6 @@ def _velocity(raw: Raw) -> list[str]:
     return velocity_doubts(t, ned, v_n, raw.place("reference"))
 
 
-def _unit_of_turns(raw: Raw) -> None:
-    """Gyro turns against those of the reference's attitude: their ratio is 1, or 57 where a unit is wrong."""
-    assert raw.imu is not None and raw.motion is not None
-    t, q = raw.motion[0], raw.motion[5]
-    inside = (t >= raw.imu.t[0]) & (t <= raw.imu.t[-1])
-    t, q = t[inside], q[inside]
-    step = max(1, len(t) // MOST_ROWS)
-    t, q = t[::step], q[::step]
-    if len(t) < 30:
-        return
-    turn = np.linalg.norm(to_rotvec(multiply(conjugate(q[:-1]), q[1:])), axis=1)
-    swept = np.linalg.norm(_integral(raw.imu.t, raw.imu.gyro, t), axis=1)
-    ratio, similar = slope(turn, swept)
-    if similar > 0.7 and np.median(turn / np.diff(t)) > np.radians(0.5) and not 0.2 < ratio < 5.0:
-        raise InputError(_unit_message(raw, ratio))
-
-
 def _unit_message(raw: Raw, ratio: float) -> str:
     """The question about a ratio of the gyros' turns to those of the reference."""
     assert raw.motion is not None
@@ -128,20 +114,37 @@ def _unit_message(raw: Raw, ratio: float) -> str:
 
 
 def _turns(raw: Raw) -> list[str]:
-    """Turns of the reference's body against those of the gyros, over `TURN_S`: sizes, directions, axis by axis."""
+    """Turns of the reference's body against those of the gyros: sizes, directions, axis by axis."""
     assert raw.imu is not None and raw.motion is not None
-    found = compared_turns(raw.imu, raw.motion[0], raw.motion[5])
-    if found is None:
-        return []
-    turn, swept = found
-    sizes = _rms(np.linalg.norm(turn, axis=1)), _rms(np.linalg.norm(swept, axis=1))
-    if max(sizes) < LEAST_TURN:
-        return []
-    ratio, similar = slope(np.linalg.norm(turn, axis=1), np.linalg.norm(swept, axis=1))
-    place = raw.place("reference")
-    if not 0.2 < sizes[1] / max(sizes[0], 1e-12) < 5.0:
-        if similar > 0.7:
+    rate = _rms(np.linalg.norm(raw.imu.gyro[:: max(1, len(raw.imu.t) // MOST_ROWS)], axis=1))
+    for span in (float(np.clip(1.0 / max(rate, 1e-9), SHORTEST_TURN_S, TURN_S)), SLOW_TURN_S):
+        found = compared_turns(raw.imu, raw.motion[0], raw.motion[5], span)
+        if found is None:
+            continue
+        turn, swept = found
+        sizes = _rms(np.linalg.norm(turn, axis=1)), _rms(np.linalg.norm(swept, axis=1))
+        if sizes[0] < LEAST_TURN and sizes[1] < LEAST_TURN * max(span, 1.0):
+            continue
+        ratio, cosine = _in_the_middle(turn, swept)
+        if cosine > SAME_MOTION and not 0.2 < ratio < 5.0:
             raise InputError(_unit_message(raw, ratio))
+        if span <= TURN_S:  # the bias of a gyro is a large part of the turns of slow vehicles
+            return _doubted_turns(raw.place("reference"), turn, swept, sizes)
+    return []
+
+
+def _in_the_middle(turn: Array, swept: Array) -> tuple[float, float]:
+    """Medians of the ratio of the lengths, gyros over reference, and of the cosine, where the one that shows more moves."""
+    lengths = np.array([np.linalg.norm(turn, axis=1), np.linalg.norm(swept, axis=1)])
+    larger = lengths[np.argmax(lengths.mean(axis=1))]
+    moves = larger > 0.5 * _rms(larger)
+    turned, gone = np.maximum(lengths[:, moves], 1e-12)
+    cosines = np.einsum("ki,ki->k", turn[moves], swept[moves]) / (turned * gone)
+    return float(np.median(gone / turned)), float(np.median(cosines))
+
+
+def _doubted_turns(place: str, turn: Array, swept: Array, sizes: tuple[float, float]) -> list[str]:
+    if not 0.2 < sizes[1] / max(sizes[0], 1e-12) < 5.0:
         return [
             f"{place}: its attitude turns by {np.degrees(sizes[0]):.3g}° while the gyros turn by {np.degrees(sizes[1]):.3g}°"
             " (root mean squares): is it the attitude of this IMU, in the unit that its columns name?"
@@ -162,16 +165,16 @@ def _turns(raw: Raw) -> list[str]:
     ]
 
 
-def compared_turns(imu: ImuSamples, t: Array, q_nb: Array) -> tuple[Array, Array] | None:
-    """Rotation vectors (K,3) in b of an attitude and of the gyros between rows `TURN_S` apart; None of too few."""
-    edges = np.arange(max(t[0], imu.t[0]), min(t[-1], imu.t[-1]), TURN_S)
+def compared_turns(imu: ImuSamples, t: Array, q_nb: Array, span: float) -> tuple[Array, Array] | None:
+    """Rotation vectors (K,3) in b of an attitude and of the gyros between rows ``span`` s apart; None of too few."""
+    edges = np.arange(max(t[0], imu.t[0]), min(t[-1], imu.t[-1]), span)
     first = np.unique(np.searchsorted(t, edges))
     first = first[first < len(t) - 1]
-    last = np.searchsorted(t, t[first] + TURN_S - 1e-6)
+    last = np.searchsorted(t, t[first] + span - 1e-6)
     last = np.maximum(last, first + 1)
     good = last < len(t)
     first, last = first[good], last[good]
-    good = (t[last] <= imu.t[-1]) & (t[last] - t[first] < 2.0 * TURN_S) & (t[first] >= imu.t[0])
+    good = (t[last] <= imu.t[-1]) & (t[last] - t[first] < 2.0 * max(span, TURN_S)) & (t[first] >= imu.t[0])
     first, last = first[good], last[good]
     step = max(1, -(-len(first) // MOST_TURNS))
     first, last = first[::step], last[::step]
@@ -203,12 +206,6 @@ def _swept(imu: ImuSamples, start: Array, end: Array) -> tuple[Array, Array]:
         q, at = multiply(q, from_rotvec(step)), np.maximum(at, until)
         path += np.linalg.norm(step, axis=1)
     return to_rotvec(q), path
-
-
-def _integral(t: Array, values: Array, at: Array) -> Array:
-    """Integrals of interval means (N,3) at ``t`` between the times ``at``."""
-    total = np.vstack([np.zeros(3), np.cumsum(values[1:] * np.diff(t)[:, None], axis=0)])
-    return np.diff(np.column_stack([np.interp(at, t, total[:, i]) for i in range(3)]), axis=0)
 
 
 def _rms(values: Array | NDArray[np.float64]) -> float:

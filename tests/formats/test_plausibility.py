@@ -302,3 +302,65 @@ def test_one_wrong_velocity_does_not_tilt_the_start(log: SensorLog, tmp_path: Pa
     assert any("do not agree with one another" in note for note in spoiled.notes)
     turn = 2.0 * np.arccos(min(1.0, abs(float(spoiled.log.initial.q_nb @ sound.initial.q_nb))))
     assert np.degrees(turn) < 2.0
+
+
+def without(prefix: str):
+    return lambda f: f.drop(columns=[c for c in f if c.startswith(prefix)])
+
+
+def reference(folder: Path, **columns) -> list[str]:
+    """Notes on the recording with the reference's columns changed, its attitude as Euler angles alone."""
+    change(folder, "reference", lambda f: without("q_nb_")(f).assign(**{c: edit(f) for c, edit in columns.items()}))
+    return [note for note in read(folder).notes if "reference.csv" in note]
+
+
+def test_angles_of_the_reference_in_radians_are_asked_for(log, trajectory, tmp_path: Path) -> None:
+    """The reference then turns 57 times slower than the gyros, and no angle of it is beyond one turn in radians."""
+    tables(log, trajectory, tmp_path)
+    radians = {f"{a}_deg": lambda f, a=a: np.radians(f[f"{a}_deg"]) for a in ("roll", "pitch", "yaw")}
+    with pytest.raises(
+        InputError, match=r"gyros turn 5\d\.?\d* times .*reference.csv \(at most .*°\) rad named deg\?"
+    ):
+        reference(tmp_path, **radians)
+
+
+@pytest.mark.parametrize(
+    ("column", "edit", "words"),
+    [
+        ("yaw_deg", lambda f: 90.0 - f["yaw_deg"], "turns about y and z against the gyros"),
+        ("yaw_deg", lambda f: 0.0 * f["yaw_deg"], "its attitude turns by"),
+        ("v_north_mps", lambda f: 3.6 * f["v_north_mps"], "times the way that the places move"),
+        ("v_down_mps", lambda f: -f["v_down_mps"], "is it the velocity upwards"),
+    ],
+)
+def test_a_reference_that_contradicts_itself_or_the_gyros_is_doubted(
+    column: str, edit, words: str, log, trajectory, tmp_path: Path
+) -> None:
+    tables(log, trajectory, tmp_path)
+    assert any(words in note for note in reference(tmp_path, **{column: edit}))
+
+
+@pytest.mark.parametrize(("factor", "words"), [(3.6, "are they km/h named m/s"), (0.0, "next to zero")])
+def test_velocities_of_the_reference_in_another_unit(factor: float, words: str, log, trajectory, tmp_path) -> None:
+    tables(log, trajectory, tmp_path)
+    columns = {f"v_{a}_mps": lambda f, a=a: factor * f[f"v_{a}_mps"] for a in ("north", "east", "down")}
+    (told,) = reference(tmp_path, **columns)
+    assert words in told
+
+
+def test_a_noisy_reference_with_resets_is_not_doubted(log, trajectory, tmp_path: Path) -> None:
+    """1 m and 1° of noise, the place 300 m and the yaw 60° off for the first 5 s: a filter that found itself in flight."""
+    tables(log, trajectory, tmp_path)
+    rng = np.random.default_rng(2)
+
+    def poor(f: pd.DataFrame) -> pd.DataFrame:
+        early = f["time_s"] < 5.0
+        n = len(f)
+        angles = {f"{a}_deg": f[f"{a}_deg"] + rng.standard_normal(n) for a in ("roll", "pitch", "yaw")}
+        angles["yaw_deg"] = angles["yaw_deg"] + 60.0 * early
+        return without("q_nb_")(f).assign(
+            **angles, lat_deg=f["lat_deg"] + 1e-5 * rng.standard_normal(n) + 0.003 * early
+        )
+
+    change(tmp_path, "reference", poor)
+    assert not any("reference.csv" in note for note in read(tmp_path).notes)
