@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from testbed.base.errors import InputError, shown
 from testbed.data.observations import GnssObservations
 from testbed.data.records import Array, GnssFixes, ImuSamples, SensorLog, Trajectory
-from testbed.formats import magnetic_field, plausibility
+from testbed.formats import magnetic_field, plausibility, reference_motion
 from testbed.formats.alignment import LEVELLING, Given, align, cut_before, turned
 from testbed.formats.config import RecordingConfig
 from testbed.formats.first_motion import with_derived_velocity
@@ -87,7 +87,10 @@ def finish(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Recor
         log, told = magnetic_field.measured(log, config.initial.level_s)
         notes += told
     notes += magnetic_field.norm_note(log)
-    return _cut(config, Recording(log, reference, tuple(dict.fromkeys(notes)), raw.gnss_position_only), place)
+    recording = _cut(config, Recording(log, reference, (), raw.gnss_position_only), place)
+    if recording.reference is not None:
+        notes += reference_motion.covered(recording.reference, recording.log, raw.place("reference"))
+    return replace(recording, notes=tuple(dict.fromkeys(notes)))
 
 
 def _reference(raw: Raw, grid: Array, place: str) -> Trajectory | None:

@@ -1,4 +1,4 @@
-"""Is a reference one motion? Its velocity against its places, its attitude against the gyros.
+"""Is a reference one motion? Its velocity against its places, its attitude against the gyros, and what it covers.
 
 What holds in any frame is compared: ways over seconds, and turns of the body between two rows, which no fixed turn of the
 navigation frame changes. What may be real is told; a ratio of units in the turns is refused. SI units, radians; n and b as
@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
-from testbed.data.records import Array, ImuSamples
+from testbed.data.records import Array, ImuSamples, SensorLog, Trajectory
+from testbed.data.shapes import gaps_of
 from testbed.formats.kinematics import conjugate, from_rotvec, multiply, to_rotvec
 from testbed.formats.raw import Raw
+from testbed.formats.recording import SLOWEST_REFERENCE, seconds
 from testbed.physics import earth
 from testbed.physics.rotations import quats_to_eulers
 
@@ -46,11 +48,25 @@ SMALLEST_COSINE = 0.5
 """Between the turns of both: 60° apart in the middle, which neither noise nor mounting leaves; one axis turned the other way does."""
 LARGEST_IN_RAD = 2.0 * np.pi
 """Angles in radians are within one turn: taken for degrees, all lie within 6.3°."""
+COVERED = 0.95
+"""Share of the log that a reference covers, from which nothing is said: what a twentieth more would add to an average is as little."""
 
 
 def check(raw: Raw) -> list[str]:
     """Sentences on a reference that contradicts itself or the gyros. Raises InputError where a unit is wrong."""
-    return _velocity(raw) + _turns(raw)
+    return _velocity(raw) + _turns(raw) + _gaps(raw)
+
+
+def covered(reference: Trajectory, log: SensorLog, place: str) -> list[str]:
+    """What part of the log can be scored, where the reference covers less than nearly all of it."""
+    start, end = log.initial.t, float(log.imu.t[-1])
+    first, last = float(reference.t[0]), float(reference.t[-1])
+    if last - first >= COVERED * (end - start):
+        return []
+    return [
+        f"{place}: covers {seconds(first)} to {seconds(last)} s of the {seconds(start)} to {seconds(end)} s that the IMU"
+        f" records; only these {last - first:.4g} s of {end - start:.4g} s are scored"
+    ]
 
 
 def slope(x: Array, y: Array) -> tuple[float, float]:
@@ -206,6 +222,23 @@ def _swept(imu: ImuSamples, start: Array, end: Array) -> tuple[Array, Array]:
         q, at = multiply(q, from_rotvec(step)), np.maximum(at, until)
         path += np.linalg.norm(step, axis=1)
     return to_rotvec(q), path
+
+
+def _gaps(raw: Raw) -> list[str]:
+    """Gaps of a reference, of which only the rows are scored; a reader that left rows out has told that itself."""
+    assert raw.motion is not None and raw.imu is not None
+    t = raw.motion[0]
+    inside = t[(t >= raw.t_start - 1e-9) & (t <= raw.imu.t[-1] + 1e-9)]
+    found = [gap for gap in gaps_of(np.unique(inside)) if gap[1] - gap[0] > SLOWEST_REFERENCE]
+    if raw.own_times or not found:
+        return []
+    longest = max(found, key=lambda gap: gap[1] - gap[0])
+    count = f"{len(found)} gaps, the longest" if len(found) > 1 else "a gap"
+    total = sum(gap[1] - gap[0] for gap in found)
+    return [
+        f"{raw.place('reference')}: {count} from {seconds(longest[0])} to {seconds(longest[1])} s; {total:.3g} s of"
+        f" {inside[-1] - inside[0]:.4g} s are not scored"
+    ]
 
 
 def _rms(values: Array | NDArray[np.float64]) -> float:

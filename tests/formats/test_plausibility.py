@@ -364,3 +364,17 @@ def test_a_noisy_reference_with_resets_is_not_doubted(log, trajectory, tmp_path:
 
     change(tmp_path, "reference", poor)
     assert not any("reference.csv" in note for note in read(tmp_path).notes)
+
+
+def test_what_part_a_reference_covers_is_told(log, trajectory, tmp_path: Path) -> None:
+    tables(log, trajectory, tmp_path)
+    change(tmp_path, "reference", lambda f: f[f["time_s"] <= 20.0])
+    (told,) = [note for note in read(tmp_path).notes if "scored" in note]
+    assert "reference.csv: covers 0.2 to 20 s of the 0.2 to 90 s" in told and "19.8 s of 89.8 s are scored" in told
+
+
+def test_gaps_of_a_reference_are_told(log, trajectory, tmp_path: Path) -> None:
+    tables(log, trajectory, tmp_path)
+    change(tmp_path, "reference", lambda f: f[(f["time_s"] < 30.0) | (f["time_s"] > 32.0)])
+    (told,) = [note for note in read(tmp_path).notes if "scored" in note]
+    assert "reference.csv: a gap from 29.99 to 32.01 s; 2.02 s of 90 s are not scored" in told
