@@ -195,6 +195,8 @@ def score(solutions: list[Path], truth: str, align: str, out: Path | None) -> No
     print(table.to_string(float_format=lambda value: f"{value:.4g}", na_rep="–"))
     for file, result in zip(solutions, scored, strict=True):
         print(f"{file}: {result.aligned}")
+        for note in result.notes:
+            tell_user(f"note: {file}: {note}")
     if out is not None:
         table.T.rename_axis("solution").assign(alignment=[result.aligned for result in scored]).to_csv(out)
         print(f"table: {out}")

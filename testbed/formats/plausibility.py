@@ -18,7 +18,7 @@ from testbed.data.records import Array, GnssFixes
 from testbed.data.shapes import gaps_of
 from testbed.formats import agreement, first_motion, reference_motion
 from testbed.formats.raw import Raw
-from testbed.formats.recording import seconds
+from testbed.formats.recording import seconds, thousandfold
 from testbed.formats.reference_motion import DISTANCE_S, MOST_ROWS, slope
 from testbed.physics import earth
 from testbed.physics.earth import G0
@@ -42,8 +42,6 @@ IMU_HZ = (1.0, 40e3)
 """Rates of an IMU recording: a vehicle swings and turns within seconds, which slower samples miss; MEMS IMUs end at 32 kHz."""
 SLOW_IMU_HZ = 5.0
 """The slowest setting of phones; a swing or a manoeuvre of a second wants several samples. In ms, 5 kHz would be this."""
-THOUSAND = (500.0, 2000.0)
-"""Ratio of two spans of time of one recording that differ by milliseconds for seconds, to a factor of two between them."""
 FEWEST_INSIDE = 3
 """Rows of a sensor while the IMU records, below which nothing can be filtered or scored with them."""
 LEAST_SHARED = 0.1
@@ -150,7 +148,7 @@ def _overlaps(raw: Raw) -> list[str]:
         span, place = float(t[-1] - t[0]), raw.place(name)
         told = f"{place}: {seconds(t[0])} to {seconds(t[-1])} s"
         imu = f"the IMU, {seconds(start)} to {seconds(end)} s"
-        thousand = THOUSAND[0] < max(span / (end - start), (end - start) / max(span, 1e-9)) < THOUSAND[1]
+        thousand = thousandfold(span, end - start)
         asked = f"; {_time_question(place if span > end - start else raw.place('imu'), True)}" if thousand else ""
         inside = int(((t >= start - 1e-9) & (t <= end + 1e-9)).sum())
         if t[-1] < start - 1e-9 or t[0] > end + 1e-9:

@@ -46,6 +46,15 @@ def seconds(t: float) -> str:
     return f"{round(float(t), 3) + 0.0:.3f}".rstrip("0").rstrip(".")
 
 
+THOUSAND = (500.0, 2000.0)
+"""Ratio of two spans of time of one recording that differ by milliseconds for seconds, to a factor of two between them."""
+
+
+def thousandfold(span: float, other: float) -> bool:
+    """Whether one of two spans is about a thousand times the other."""
+    return min(span, other) > 0.0 and THOUSAND[0] < max(span / other, other / span) < THOUSAND[1]
+
+
 def check_time(t: Array, place: str) -> Array:
     """Finite, increasing time (N,). Raises InputError that names ``place`` and the sample."""
     check_finite(t, place)

@@ -39,6 +39,8 @@ class Track:
     ned: Array
     v_n: Array | None = None
     q_nb: Array | None = None
+    notes: tuple[str, ...] = ()
+    """What its file leaves in doubt."""
 
 
 Origin = tuple[float, float, float]
@@ -70,6 +72,7 @@ def read(path: Path, origin: Origin) -> Track:
         return _tum(path)
     tables, velocity, attitude = _tables(path)
     table = tables.parts["solution"]
+    _check_angles(path, table["lat"], table["lon"], origin)
     return Track(
         path.stem,
         table["time"] + tables.base,
@@ -77,6 +80,31 @@ def read(path: Path, origin: Origin) -> Track:
         tables.block("solution", list(VELOCITY)) if velocity else None,
         tables.quaternions("solution") if attitude else None,
     )
+
+
+NEAR = 0.02
+"""rad, 1.1°: a flight of a hundred kilometres; places in another unit lie further apart, but near latitude and longitude 0."""
+
+
+def _check_angles(path: Path, lat: Array, lon: Array, origin: Origin) -> None:
+    """Raises InputError where the places are the truth's once their unit or order is another one."""
+    own, true = np.array([np.median(lat), np.median(lon)]), np.array(origin[:2])
+    if _near(own, true):
+        return
+    found = f"{path}: lies at {np.degrees(own[0]):.6g}°, {np.degrees(own[1]):.6g}°, the truth at {np.degrees(true[0]):.6g}°, {np.degrees(true[1]):.6g}°"
+    named = "Such columns are called lat_rad, lon_rad"
+    if _near(np.degrees(own), true):
+        raise InputError(f"{found}: are lat and lon in radians? {named}")
+    if _near(own, np.degrees(true)):
+        raise InputError(f"{found}: are lat and lon of the truth in radians? {named}")
+    if _near(own[::-1], true):
+        raise InputError(f"{found}: are lat and lon exchanged?")
+
+
+def _near(one: Array, other: Array) -> bool:
+    apart = one - other
+    apart[1] = (apart[1] + np.pi) % (2.0 * np.pi) - np.pi
+    return bool(np.abs(apart).max() < NEAR)
 
 
 def _tables(path: Path) -> tuple[Tables, bool, bool]:

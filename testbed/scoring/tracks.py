@@ -18,7 +18,10 @@ import numpy as np
 
 from testbed.base.errors import InputError
 from testbed.data.records import Array, Trajectory
+from testbed.data.shapes import gaps_of
 from testbed.formats.kinematics import multiply
+from testbed.formats.recording import seconds, thousandfold
+from testbed.formats.reference_motion import COVERED, velocity_doubts
 from testbed.formats.solutions import Track, local, origin_of
 from testbed.physics import rotations
 from testbed.physics.interpolate import state_at
@@ -26,21 +29,26 @@ from testbed.physics.interpolate import state_at
 ALIGNMENTS = ("none", "translation", "yaw", "rigid")
 DISTANCES = (10.0, 50.0, 100.0, 500.0, 1000.0)
 """m."""
+FEWEST = 10
+"""Rows of one file within the times of the other, below which a ratio of 1000 between both is a unit's, not a day's to a minute's."""
 
 
 class Scored(NamedTuple):
-    """Metrics of one solution by name, and what was taken out by the alignment, in words."""
+    """Metrics of one solution by name, what was taken out by the alignment, in words, and what is to be told of it."""
 
     name: str
     metrics: dict[str, float]
     aligned: str
+    notes: tuple[str, ...] = ()
 
 
 def score_track(truth: Trajectory, track: Track, alignment: str = "none") -> Scored:
     """Metrics of a solution. Raises InputError where it does not overlap the truth."""
     if alignment not in ALIGNMENTS:
         raise InputError(f"alignment '{alignment}'; valid: {', '.join(ALIGNMENTS)}")
+    whole = track
     t, true, v_true, q_true, track = _matched(truth, track)
+    notes = (*whole.notes, *_left_out(truth, whole, t), *_doubts(truth, whole))
     rotation, shift, told = _alignment(track.ned, true, alignment)
     ned = track.ned @ rotation.T + shift
     q_turn = _quaternion(rotation)
@@ -63,7 +71,7 @@ def score_track(truth: Trajectory, track: Track, alignment: str = "none") -> Sco
         phi = np.degrees(rotations.attitude_errors(q_nb, q_true))
         out |= {"rmse_attitude_deg": _rms(np.linalg.norm(phi, axis=1)), "rmse_heading_deg": _rms(phi[:, 2])}
     out |= relative_errors(true, ned, q_true if with_attitude else None, q_nb if with_attitude else None)
-    return Scored(track.name, out, told)
+    return Scored(track.name, out, told, notes)
 
 
 def relative_errors(
@@ -93,10 +101,18 @@ def _matched(truth: Trajectory, track: Track) -> tuple[Array, Array, Array, Arra
     times = truth.t if truth.own_times else track.t
     limits = (track.t if truth.own_times else truth.t)[[0, -1]]
     t = times[(times >= limits[0] - 1e-9) & (times <= limits[1] + 1e-9)]
+    spans = (
+        f"{track.name}: {seconds(track.t[0])} to {seconds(track.t[-1])} s {{}} the truth, {seconds(truth.t[0])} to"
+        f" {seconds(truth.t[-1])} s"
+    )
+    asked = ""
+    if thousandfold(float(track.t[-1] - track.t[0]), float(truth.t[-1] - truth.t[0])):
+        whose = "its times" if track.t[-1] - track.t[0] > truth.t[-1] - truth.t[0] else "the truth's times"
+        asked = f"; are {whose} in milliseconds? Such a column is called time_ms"
     if len(t) < 2:
-        raise InputError(
-            f"{track.name}: {track.t[0]:.9g} to {track.t[-1]:.9g} s does not overlap the truth, {truth.t[0]:.9g} to {truth.t[-1]:.9g} s"
-        )
+        raise InputError(f"{spans.format('does not overlap')}{asked}")
+    if asked and min(len(t), _count_within(truth.t, track.t)) < FEWEST:
+        raise InputError(f"{spans.format('has hardly any row in common with')}{asked}")
     lat, lon, h, v_n, q_nb = state_at(truth, np.clip(t, truth.t[0], truth.t[-1]))
     if truth.own_times:
         ned = np.column_stack([np.interp(t, track.t, track.ned[:, i]) for i in range(3)])
@@ -108,6 +124,41 @@ def _matched(truth: Trajectory, track: Track) -> tuple[Array, Array, Array, Arra
         rows = [None if x is None else x[keep] for x in (track.v_n, track.q_nb)]
         track = Track(track.name, t, track.ned[keep], *rows)
     return t, local(lat, lon, h, origin), v_n, q_nb, track
+
+
+def _count_within(t: Array, limits: Array) -> int:
+    return int(((t >= limits[0] - 1e-9) & (t <= limits[-1] + 1e-9)).sum())
+
+
+def _left_out(truth: Trajectory, track: Track, t: Array) -> list[str]:
+    """What of the truth's and the solution's times is not scored, or between rows far apart; ``t`` are the scored ones."""
+    notes = []
+    scored = float(t[-1] - t[0])
+    for whose, times in (("the truth's", truth.t), ("its", track.t)):
+        if scored < COVERED * (whole := float(times[-1] - times[0])):
+            notes.append(f"scored from {seconds(t[0])} to {seconds(t[-1])} s, {scored:.4g} s of {whose} {whole:.4g} s")
+    known = truth.own_times
+    for what, times, told in (
+        ("the solution", track.t, "interpolated there" if known else "not scored there"),
+        ("the truth", truth.t, "not scored there" if known else "the truth is interpolated there"),
+    ):
+        inside = times[(times >= t[0] - 1e-9) & (times <= t[-1] + 1e-9)]
+        if found := gaps_of(inside):
+            longest = max(found, key=lambda gap: gap[1] - gap[0])
+            count = f"{len(found)} gaps, the longest" if len(found) > 1 else "a gap"
+            notes.append(f"{what} has {count} from {seconds(longest[0])} to {seconds(longest[1])} s: {told}")
+    return notes
+
+
+def _doubts(truth: Trajectory, track: Track) -> list[str]:
+    """Velocities that are not those of their places."""
+    notes = []
+    if "velocity" in truth.known and len(truth.t) >= 10:
+        ned = local(truth.lat, truth.lon, truth.h, origin_of(truth))
+        notes += velocity_doubts(truth.t, ned, truth.v_n, "the truth")
+    if track.v_n is not None and len(track.t) >= 10:
+        notes += velocity_doubts(track.t, track.ned, track.v_n, "the solution")
+    return notes
 
 
 def _alignment(ned: Array, true: Array, kind: str) -> tuple[Array, Array, str]:

@@ -129,3 +129,59 @@ def test_mistakes_are_told(truth: Trajectory, tmp_path: Path) -> None:
         assert name in str(caught.value)
     with pytest.raises(InputError, match="valid: none, translation, yaw, rigid"):
         score(truth, late, "sim3")
+
+
+def table(truth: Trajectory, path: Path, edit=lambda f: f) -> Path:
+    edit(truth.to_frame()[::20]).to_csv(path, index=False)
+    return path
+
+
+def notes(truth: Trajectory, path: Path) -> tuple[str, ...]:
+    return score_track(truth, solutions.read(path, solutions.origin_of(truth))).notes
+
+
+def test_what_is_scored_is_told(truth: Trajectory, tmp_path: Path) -> None:
+    """Nothing of a whole solution; of one of 15 s, or with a gap of 5 s, which part it is."""
+    assert notes(truth, table(truth, tmp_path / "a.csv")) == ()
+    (told,) = notes(truth, table(truth, tmp_path / "b.csv", lambda f: f[f["time_s"] <= 15.0]))
+    assert told == "scored from 0 to 15 s, 15 s of the truth's 60 s"
+    (told,) = notes(truth, table(truth, tmp_path / "c.csv", lambda f: f[(f["time_s"] < 20) | (f["time_s"] > 25)]))
+    assert told == "the solution has a gap from 19.8 to 25.2 s: not scored there"
+    late = solutions.read(table(truth, tmp_path / "d.csv"), solutions.origin_of(truth))
+    rows = (truth.t < 20.0) | (truth.t > 25.0)
+    cut = Trajectory(
+        *(x[rows] for x in (truth.t, truth.lat, truth.lon, truth.h, truth.v_n, truth.q_nb, truth.f_b, truth.w_ib_b))
+    )
+    assert score_track(cut, late).notes == (
+        "the truth has a gap from 19.99 to 25.01 s: the truth is interpolated there",
+    )
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (
+            lambda f: f.assign(time_s=1e3 * f["time_s"]),
+            "are its times in milliseconds? Such a column is called time_ms",
+        ),
+        (lambda f: f.assign(time_s=1e-3 * f["time_s"]), "are the truth's times in milliseconds"),
+        (
+            lambda f: f.assign(lat_deg=np.radians(f["lat_deg"]), lon_deg=np.radians(f["lon_deg"])),
+            "lat and lon in radians?",
+        ),
+        (lambda f: f.rename(columns={"lat_deg": "lon_deg", "lon_deg": "lat_deg"}), "are lat and lon exchanged?"),
+    ],
+)
+def test_units_of_a_solution_are_asked_for(edit, words: str, truth: Trajectory, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        notes(truth, table(truth, tmp_path / "mine.csv", edit))
+    assert words in str(caught.value) and "mine" in str(caught.value)
+
+
+def test_velocities_that_are_not_those_of_the_places_are_told(truth: Trajectory, tmp_path: Path) -> None:
+    path = table(
+        truth,
+        tmp_path / "mine.csv",
+        lambda f: f.assign(**{f"v_{a}_mps": 3.6 * f[f"v_{a}_mps"] for a in ("north", "east")}),
+    )
+    assert any("the solution: the velocities say 3.6 times" in note for note in notes(truth, path))
