@@ -51,7 +51,8 @@ class TrajectoryConfig(Table):
         description="Distance of the knots of a least-squares spline, s; without it the track goes through every row",
     )
     max_gap_s: Positive | None = Field(
-        default=None, description="Longest time between two rows, s; default: five of the file's usual intervals"
+        default=None,
+        description="Longest time between two rows, s; default: five of the file's usual intervals, at most 5 s",
     )
     max_acceleration_mps2: Annotated[float, Field(gt=0, le=5000)] = Field(
         default=100.0, description="Beyond it the file is refused, m/s²: 10 g, more than people or airframes take"

@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 DEGREE = 5
 USUAL_GAP = 5.0
 """Usual intervals that a file may miss: a receiver that loses a few fixes."""
+SLOWEST_ROWS_S = 1.0
+"""Rows further apart leave the manoeuvres between them, which take seconds, to the spline; the documents ask for 1 Hz."""
 FASTEST_MPS = 1000.0
 """As fast as flights of the bench may be."""
 SLOW_MPS = 0.5
@@ -84,6 +86,10 @@ def _splined(track: Track, config: TrajectoryConfig, name: str) -> Trajectory:
 def notes_of_track(config: TrajectoryConfig) -> tuple[str, ...]:
     """What was taken for what in the file, and what was left out."""
     track = read_track(config)
+    step = float(np.median(np.diff(track.t)))
+    if step > SLOWEST_ROWS_S * 1.01:
+        slow = f"{Path(config.trajectory).name}: its rows are {step:.4g} s apart ({1.0 / step:.3g} Hz); between rows of less than 1 Hz"
+        track = replace(track, notes=(*track.notes, f"{slow} the motion is the spline's, not the vehicle's"))
     if track.q_nb is not None and config.attitude in ("level", "coordinated"):
         return (
             *track.notes,
@@ -108,7 +114,10 @@ def _in_e(track: Track, config: TrajectoryConfig) -> Array:
 
 def _check_gaps(track: Track, config: TrajectoryConfig) -> None:
     steps = np.diff(track.t)
-    longest = config.max_gap_s if config.max_gap_s is not None else USUAL_GAP * float(np.median(steps))
+    usual = float(np.median(steps))
+    if not track.recorded:  # a recording's reference comes at the rate that it has
+        usual = min(usual, SLOWEST_ROWS_S)
+    longest = config.max_gap_s if config.max_gap_s is not None else USUAL_GAP * usual
     if steps.max() > longest * (1.0 + 1e-9):
         k = int(np.argmax(steps > longest * (1.0 + 1e-9)))
         raise InputError(

@@ -340,3 +340,19 @@ def test_a_scenario_on_a_file(tmp_path):
     (tmp_path / "walk.csv").unlink()
     with pytest.raises(InputError, match=r"own.toml: .*walk.csv: no such file"):
         pipeline.fly(scenario)
+
+
+def test_rows_of_less_than_a_hertz_are_told_and_far_ones_refused(tmp_path):
+    """1 Hz is what the documents ask for: a row each 2 s is told, each 10 s refused unless max_gap_s allows it, and then told."""
+
+    def notes(rate, **keys):
+        path = circle(tmp_path, rate, 240.0, 4000.0, 600.0)
+        keys = {"origin": ORIGIN} | keys
+        made(path, **keys)
+        return notes_of_track(validate(TrajectoryConfig, {"trajectory": str(path)} | keys, "flight"))
+
+    assert notes(1.0) == ()
+    assert any("its rows are 2 s apart (0.5 Hz)" in note for note in notes(0.5))
+    with pytest.raises(InputError, match=r"a gap of 10 s after row 1 .*at most 5 s are bridged \(the key max_gap_s\)"):
+        notes(0.1)
+    assert any("its rows are 10 s apart (0.1 Hz)" in note for note in notes(0.1, max_gap_s=10.0))
