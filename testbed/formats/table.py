@@ -12,7 +12,8 @@ order and any unit that `testbed.data.column_units` lists (further columns are i
 
 Separators are commas, semicolons, tabs or blanks; beside anything but commas a decimal comma is read as one. The columns of a
 file without a header are called 1, 2, ... in a mapping. Files with other names are read with a mapping, ``"wx" = "gyro_x_dps"`` (a leading minus turns the sign). Times that
-count from an epoch (above 10⁷ s) are counted from the first whole second of the IMU. ``log.json``, which `save_log`
+count from an epoch (above 10⁷ s) are counted from the first whole second of the IMU, and so are dates after ISO 8601 (UTC
+where they name no zone) in a column ``time_s``. ``log.json``, which `save_log`
 writes, holds the specifications and the initial state; without it they come from the scenario and from alignment.
 """
 
@@ -244,13 +245,12 @@ def _read_part(path: Path, part: str, mapping: dict[str, str], base: int | None)
             _, factor = column_units.split(target.lstrip("-"), wanted[stem])
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        values = _numbers(frame[name], place)
         if stem == "time":
+            values, factor = _ticks(frame[name], factor, place)
             out[stem], base = _time(values, factor, base, place)
-        else:
-            out[stem] = check_finite(
-                values.astype(np.float64) * (sign * factor) if sign * factor != 1.0 else values, place
-            )
+            continue
+        values = _numbers(frame[name], place)
+        out[stem] = check_finite(values.astype(np.float64) * (sign * factor) if sign * factor != 1.0 else values, place)
     missing = [stem for stem in REQUIRED[part] if stem not in out]
     if missing:
         unit = next(iter(column_units.UNITS[REQUIRED[part][missing[0]]]))
@@ -327,9 +327,28 @@ def _is_number(word: str, comma: bool) -> bool:
     return True
 
 
+def _ticks(column: pd.Series, factor: float, place: str) -> tuple[Array, float]:
+    """Times as numbers and their unit, s: as they stand, or nanoseconds since 1970 of dates after ISO 8601 (UTC where none is said)."""
+    import pandas as pd
+
+    dates = column
+    if not pd.api.types.is_datetime64_any_dtype(column):
+        if pd.api.types.is_numeric_dtype(column):
+            return _numbers(column, place), factor
+        dates = pd.to_datetime(column, format="ISO8601", utc=True, errors="coerce")
+        if dates.isna().all():
+            return _numbers(column, place), factor
+    if (bad := dates.isna()).any():
+        k = int(np.argmax(bad.to_numpy()))
+        raise InputError(f"{place}: sample {k} is {shown(column.iloc[k])}, expected a date as in the other rows")
+    return pd.to_datetime(dates, utc=True).dt.as_unit("ns").astype("int64").to_numpy(), 1e-9
+
+
 def _numbers(column: pd.Series, place: str) -> Array:
     import pandas as pd
 
+    if pd.api.types.is_datetime64_any_dtype(column):
+        raise InputError(f"{place}: holds dates, expected numbers")
     if not pd.api.types.is_numeric_dtype(column) or pd.api.types.is_bool_dtype(column):
         numbers = pd.to_numeric(column, errors="coerce")
         bad = numbers.isna() & column.notna()

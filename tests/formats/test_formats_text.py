@@ -174,3 +174,34 @@ def test_damaged_kfgins_files_are_refused(damage, words: str, trajectory, log, t
     with pytest.raises(InputError) as caught:
         import_log("kfgins", tmp_path, files={k: files[k] for k in ("imu", "gnss")}, imu={"model": "ADIS16448"})
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("zone", ["Z", "", "+02:00"])
+def test_dates_as_times(zone: str, folder: Path, log: SensorLog) -> None:
+    """ISO 8601 with as many digits as it takes; without a zone it is UTC. The log starts at the IMU's first whole second."""
+    start = pd.Timestamp("2025-07-08T12:00:00")
+    for part in ("imu", "gnss"):
+        frame = pd.read_csv(folder / f"{part}.csv")
+        dates = start + pd.to_timedelta((frame["time_s"] * 1e3).round().astype(int), unit="ms")
+        frame.assign(time_s=[f"{date.isoformat()}{zone}" for date in dates]).to_csv(folder / f"{part}.csv", index=False)
+    read = import_log("table", folder, **GIVEN).log
+    assert np.abs(read.imu.t - log.imu.t[-len(read.imu.t) :]).max() < 1e-9
+    assert np.abs(read.gnss.t - log.gnss.t[-len(read.gnss.t) :]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "words"),
+    [
+        ("time_s", "soon", "sample 3 is 'soon', expected a date"),
+        ("gyro_x_radps", None, "holds dates, expected numbers"),
+    ],
+)
+def test_dates_out_of_place(column: str, value: str | None, words: str, folder: Path) -> None:
+    frame = pd.read_csv(folder / "imu.csv")
+    dates = [date.isoformat() for date in pd.Timestamp("2025-07-08") + pd.to_timedelta(frame["time_s"], unit="s")]
+    if value is not None:
+        dates[3] = value
+    frame.assign(**{column: dates}).to_csv(folder / "imu.csv", index=False)
+    with pytest.raises(InputError) as caught:
+        import_log("table", folder, **GIVEN)
+    assert words in str(caught.value) and "imu.csv" in str(caught.value)
