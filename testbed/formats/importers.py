@@ -47,6 +47,8 @@ PLACEMENT = ("clock_s", "mounting_deg")
 """Keys of ``[recording.imu]`` and so on that say how the sensor's samples are to be read, not how good it is."""
 BIASES = {"gyro_bias_dps": ("gyro", float(np.radians(1.0))), "accel_bias_mg": ("accel", 1e-3 * G0)}
 """Keys of ``[recording.imu]``: biases (3,) along the sensor's axes that were measured beforehand, and are taken off."""
+OTHER_RATE = 0.02
+"""Of a stated rate from the recorded one: sampling clocks of cheap sensors are off by a percent or two."""
 FIELD_YEARS = (2010.0, 2029.9)
 USUAL_YEAR = 2025.0
 """Of the magnetic field where no file tells the date: it turns by 0.1 to 0.2° a year, beside 5° of an uncalibrated compass."""
@@ -125,7 +127,12 @@ def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Non
         field = {key: table.pop(key) for key in magnetic_field.KEYS if kind == "mag" and key in table}
         if kind == "mag":
             raw.field_known = "field_ut" in field or magnetic_field.is_stated(samples.spec, "mag" in raw.stated)
+        rate = table.get("rate_hz")
         samples = _respecify(config, folder, kind, samples, table)
+        if isinstance(rate, int | float) and abs(rate / samples.spec.rate_hz - 1.0) > OTHER_RATE:
+            raw.notes.append(
+                f"[recording.{kind}] rate_hz = {rate:g} has no effect: {raw.place(kind)} has {samples.spec.rate_hz:.4g} samples a second"
+            )
         if kind == "gnss" and "gnss_raw" in raw.others:
             raw.others["gnss_raw"] = _of_receiver(
                 raw.others["gnss_raw"], samples, float(samples.t[0] - before[0]), "model" in config.gnss

@@ -318,9 +318,7 @@ def test_angles_of_the_reference_in_radians_are_asked_for(log, trajectory, tmp_p
     """The reference then turns 57 times slower than the gyros, and no angle of it is beyond one turn in radians."""
     tables(log, trajectory, tmp_path)
     radians = {f"{a}_deg": lambda f, a=a: np.radians(f[f"{a}_deg"]) for a in ("roll", "pitch", "yaw")}
-    with pytest.raises(
-        InputError, match=r"gyros turn 5\d\.?\d* times .*reference.csv \(at most .*°\) rad named deg\?"
-    ):
+    with pytest.raises(InputError, match=r"gyros turn 5\d\.?\d* times .*reference.csv \(at most .*°\) rad named deg\?"):
         reference(tmp_path, **radians)
 
 
@@ -378,3 +376,12 @@ def test_gaps_of_a_reference_are_told(log, trajectory, tmp_path: Path) -> None:
     change(tmp_path, "reference", lambda f: f[(f["time_s"] < 30.0) | (f["time_s"] > 32.0)])
     (told,) = [note for note in read(tmp_path).notes if "scored" in note]
     assert "reference.csv: a gap from 29.99 to 32.01 s; 2.02 s of 90 s are not scored" in told
+
+
+@pytest.mark.parametrize(("part", "given", "told"), [("imu", IMU, "100 samples"), ("gnss", GNSS, "5 samples")])
+def test_a_rate_that_the_files_overrule_is_told(part: str, given: dict, told: str, log, tmp_path: Path) -> None:
+    tables(log, None, tmp_path)
+    notes = read(tmp_path, **{part: given | {"rate_hz": 333.0}}).notes
+    assert any(f"[recording.{part}] rate_hz = 333 has no effect" in note and told in note for note in notes)
+    rate = float(told.split()[0])
+    assert not any("rate_hz" in note for note in read(tmp_path, **{part: given | {"rate_hz": rate}}).notes)
