@@ -187,12 +187,15 @@ def score(solutions: list[Path], truth: str, align: str, out: Path | None) -> No
         raise InputError(f"{out}: already exists; give another --out")
     path = Path(truth)
     table_file = path.suffix in (".csv", ".parquet")
-    true = files.read_truth(path) if table_file else pipeline.fly(load_scenario(truth))
+    doubts: list[str] = []
+    true = files.read_truth(path, doubts) if table_file else pipeline.fly(load_scenario(truth))
     origin = files.origin_of(true)
     scored = [score_track(true, files.read(solution, origin), align) for solution in solutions]
     table = pd.DataFrame({str(file): result.metrics for file, result in zip(solutions, scored, strict=True)})
     print(f"errors against {truth}, at the solutions' own times; rpe: RMS over each distance in % of it")
     print(table.to_string(float_format=lambda value: f"{value:.4g}", na_rep="–"))
+    for note in doubts:
+        tell_user(f"note: {note}")
     for file, result in zip(solutions, scored, strict=True):
         print(f"{file}: {result.aligned}")
         for note in result.notes:

@@ -37,6 +37,7 @@ from testbed.formats.first_motion import EARTH_RATE, rest_at_start
 from testbed.formats.raw import Raw
 from testbed.formats.recording import (
     check_finite,
+    check_folder,
     check_place,
     check_time,
     existing,
@@ -123,8 +124,7 @@ def _find(folder: Path, files: Mapping[str, str]) -> dict[str, Path]:
     for key in files:
         if key not in STRUCTS:
             raise InputError(f"files: unknown part '{key}' of a navego recording; {nearest(key, STRUCTS)}")
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; the key recording.dir says where the recording lies")
+    check_folder(folder)
     found: dict[str, Path] = {}
     for kind in STRUCTS:
         if kind in files:

@@ -95,10 +95,23 @@ def check_place(lat: Array, lon: Array, place: str) -> None:
         raise InputError(f"{place}: longitude {np.degrees(lon[k]):.6g}° at sample {k} lies outside ±360°")
 
 
+def check_folder(folder: Path) -> None:
+    """Raises InputError where a recording's folder is none."""
+    if folder.is_dir():
+        return
+    if folder.exists():
+        raise InputError(
+            f"{folder}: is a file; the key recording.dir names the folder of a recording, recording.files the files in it"
+        )
+    raise InputError(f"{folder}: no such folder; the key recording.dir says where the recording lies")
+
+
 def existing(path: Path, what: str) -> Path:
     """``path`` when it is a file; else InputError with the files beside it."""
     if path.is_file():
         return path
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder (wanted a file for the {what})")
     beside = sorted(p.name for p in path.parent.glob("*") if p.is_file()) if path.parent.is_dir() else []
     found = f"; the folder holds {', '.join(beside[:12])}" if beside else ""
     raise InputError(f"{path}: no such file (wanted for the {what}){found}")
@@ -108,8 +121,7 @@ def only_file(folder: Path, files: Mapping[str, str], part: str, suffixes: tuple
     """The file of ``part``: the one that ``files`` names, else the only one of the folder that ends so."""
     if part in files:
         return existing(folder / files[part], part)
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; the key recording.dir says where the recording lies")
+    check_folder(folder)
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
     if len(found) != 1:
         raise InputError(

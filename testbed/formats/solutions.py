@@ -79,6 +79,7 @@ def read(path: Path, origin: Origin) -> Track:
         local(table["lat"], table["lon"], table["alt"], origin),
         tables.block("solution", list(VELOCITY)) if velocity else None,
         tables.quaternions("solution") if attitude else None,
+        tuple(tables.notes),
     )
 
 
@@ -161,8 +162,11 @@ def _tum(path: Path) -> Track:
     return Track(path.stem, t, rows[:, [2, 1, 3]] * [1.0, 1.0, -1.0], None, q_nb)
 
 
-def read_truth(path: Path) -> Trajectory:
-    """A truth from a file: a stored trajectory, or a table as the part ``reference`` of a recording; seconds of its own clock."""
+def read_truth(path: Path, notes: list[str] | None = None) -> Trajectory:
+    """A truth from a file: a stored trajectory, or a table as the part ``reference`` of a recording; seconds of its own clock.
+
+    What the table leaves in doubt is added to ``notes``.
+    """
     import pyarrow.parquet as pq
 
     if not path.is_file():
@@ -181,4 +185,6 @@ def read_truth(path: Path) -> Trajectory:
     v_n = tables.block("reference", ["v_north", "v_east", "v_down"])
     t = r["time"] + tables.base
     nothing = np.zeros((n, 3))
+    if notes is not None:
+        notes += tables.notes
     return Trajectory(t, r["lat"], r["lon"], r["alt"], v_n, q_nb, nothing, nothing, name=path.stem, known=tuple(known))

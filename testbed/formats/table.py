@@ -27,11 +27,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.base.errors import InputError, nearest, shown
+from testbed.base.errors import InputError, closest, nearest, shown
 from testbed.base.files import from_json
 from testbed.data import column_units, specs
 from testbed.data.records import Array, SensorLog, Trajectory
-from testbed.formats.recording import check_finite, check_place, check_time, existing
+from testbed.formats.recording import check_finite, check_folder, check_place, check_time, existing
 from testbed.physics.rotations import eulers_to_quats
 from testbed.sensors.registry import SENSORS
 
@@ -70,6 +70,8 @@ OPTIONAL: dict[str, dict[str, str]] = {
     "solution": EULER | QUATERNION | dict.fromkeys(VELOCITY, "speed") | SOLUTION_STD,
 }
 STORED = "log.json"
+ROUNDED_DEG = 1.0
+"""Between an attitude twice written: Euler angles in whole degrees are half a degree off about each axis."""
 EPOCH = 1e7
 
 
@@ -84,8 +86,7 @@ class Tables:
         only: Sequence[str] | None = None,
     ) -> None:
         """``only`` names the parts that are read; all that are there by default."""
-        if not folder.is_dir():
-            raise InputError(f"{folder}: no such folder; the key recording.dir says where the recording lies")
+        check_folder(folder)
         _check_mapping(columns, folder)
         self.folder = folder
         self.parts: dict[str, dict[str, Array]] = {}
@@ -94,10 +95,13 @@ class Tables:
         if "imu" not in found and (only is None or "imu" in only):
             existing(folder / "imu.csv", "imu")
         self.places = {part: str(path) for part, path in found.items()}
+        names: dict[str, list[str]] = {}
         for part, path in found.items():
-            self.parts[part], base = _read_part(path, part, _mapping_of(part, columns), base)
+            self.parts[part], base, names[part] = _read_part(path, part, _mapping_of(part, columns), base)
         self.base = base or 0
         """The whole second that times are counted from: 0, or since an epoch."""
+        self.notes = _idle_mapping(columns, names, folder)
+        """What was left aside, in sentences."""
 
     def block(self, part: str, stems: tuple[str, ...] | list[str]) -> Array:
         """(N,k) of the named columns."""
@@ -113,10 +117,25 @@ class Tables:
                 raise InputError(
                     f"{self.places[part]}: q_nb at sample {int(np.argmax(np.abs(norm - 1)))} is no unit quaternion"
                 )
-            return np.where(np.abs(norm - 1.0) < 1e-12, q, q / norm)
+            q = np.where(np.abs(norm - 1.0) < 1e-12, q, q / norm)
+            self._compare_angles(part, q)
+            return q
         if all(name in table for name in EULER):
             return eulers_to_quats(self.block(part, list(EULER)))
         raise InputError(f"{self.places[part]}: needs roll_deg, pitch_deg, yaw_deg or q_nb_0 .. q_nb_3")
+
+    def _compare_angles(self, part: str, q_nb: Array) -> None:
+        """Note Euler angles that are not those of the quaternion beside them."""
+        if not all(name in self.parts[part] for name in EULER):
+            return
+        other = eulers_to_quats(self.block(part, list(EULER)))
+        apart = 2.0 * np.arccos(np.minimum(np.abs(np.einsum("ki,ki->k", q_nb, other)), 1.0))
+        middle = float(np.degrees(np.median(apart)))
+        if middle > ROUNDED_DEG:
+            self.notes.append(
+                f"{self.places[part]}: roll, pitch and yaw are another attitude than q_nb beside them, {middle:.4g}° apart in"
+                " the middle; q_nb is used"
+            )
 
     def stored(self) -> dict[str, Any]:
         """Content of log.json, or an empty table."""
@@ -185,7 +204,9 @@ def _find(folder: Path, files: Mapping[str, str]) -> dict[str, Path]:
         if part in files:
             found[part] = existing(folder / files[part], part)
             continue
-        present = [p for p in (folder / f"{part}.csv", folder / f"{part}.parquet") if p.is_file()]
+        present = [p for p in (folder / f"{part}.csv", folder / f"{part}.parquet") if p.exists()]
+        for path in present:
+            existing(path, part)
         if len(present) > 1:
             raise InputError(f"{folder}: both {present[0].name} and {present[1].name} are there; name one under files")
         if present:
@@ -214,6 +235,23 @@ def _check_mapping(columns: Mapping[str, str | dict[str, str]], folder: Path) ->
             )
 
 
+def _idle_mapping(
+    columns: Mapping[str, str | dict[str, str]], names: Mapping[str, list[str]], folder: Path
+) -> list[str]:
+    """Sentences on what a mapping maps and no file has: a mistyped name, or a sensor that was not recorded."""
+    notes = []
+    for source, target in columns.items():
+        inner = target if isinstance(target, dict) else {source: target}
+        present = names.get(source, []) if isinstance(target, dict) else [n for part in names.values() for n in part]
+        where = f"{source} has no column" if isinstance(target, dict) else "no file has a column"
+        for name, wanted in inner.items():
+            if name not in present:
+                near = closest(name, set(present))
+                hint = f"; did you mean '{near}'?" if near else ""
+                notes.append(f'{folder}: the mapping "{name}" = "{wanted}" has no effect: {where} {name}{hint}')
+    return notes
+
+
 def _mapping_of(part: str, columns: Mapping[str, str | dict[str, str]]) -> dict[str, str]:
     out = {source: target for source, target in columns.items() if isinstance(target, str)}
     own = columns.get(part, {})
@@ -227,16 +265,20 @@ def _stem(column: str, stems: set[str] | dict[str, str]) -> str | None:
     return stem if stem in stems else None
 
 
-def _read_part(path: Path, part: str, mapping: dict[str, str], base: int | None) -> tuple[dict[str, Array], int]:
-    """Columns of one file in the bench's units, by stem; and the whole second that times are counted from."""
+def _read_part(
+    path: Path, part: str, mapping: dict[str, str], base: int | None
+) -> tuple[dict[str, Array], int, list[str]]:
+    """Columns of one file in the bench's units, by stem; the whole second that times are counted from; the columns' names."""
     frame = _read_frame(path)
     wanted = REQUIRED[part] | OPTIONAL.get(part, {})
     out: dict[str, Array] = {}
+    names, unread = [str(name) for name in frame.columns], []
     for name in frame.columns:
         target = mapping.get(str(name), str(name))
         sign = -1.0 if target.startswith("-") else 1.0
         stem = _stem(target.lstrip("-"), wanted)
         if stem is None:
+            unread.append(str(name))
             continue
         place = f"{path}: column '{name}'"
         if stem in out:
@@ -256,12 +298,22 @@ def _read_part(path: Path, part: str, mapping: dict[str, str], base: int | None)
         unit = next(iter(column_units.UNITS[REQUIRED[part][missing[0]]]))
         example = f"{missing[0]}_{unit}"
         raise InputError(
-            f"{path}: no column for {', '.join(missing)} (such as {example}); {nearest(example, map(str, frame.columns))}. Other"
+            f"{path}: no column for {', '.join(missing)} (such as {example}); {_candidates(example, unread, names)}. Other"
             ' names are read with a mapping, a TOML file with [columns] and lines such as wx = "gyro_x_dps" (--map FILE)'
         )
     if "lat" in out:
         check_place(out["lat"], out["lon"], str(path))
-    return out, base or 0
+    return out, base or 0, names
+
+
+def _candidates(wanted: str, unread: list[str], names: list[str]) -> str:
+    """Which column may be the wanted one: of those that nothing reads, the nearest, however it is written."""
+    plain = {re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"): name for name in unread}
+    if (near := closest(wanted, plain)) is not None:
+        return f"is it the column '{plain[near]}'"
+    if unread:
+        return f"columns that are not read: {', '.join(shown(name) for name in unread[:12])}"
+    return f"it has {', '.join(names[:12])}, which are all read"
 
 
 def _read_frame(path: Path) -> pd.DataFrame:
@@ -289,6 +341,8 @@ def _read_text(path: Path) -> Any:
 
     with path.open("rb") as file:
         head = file.read(65536).decode("utf-8", errors="replace").splitlines()
+    if "\0" in "".join(head[:3]):
+        raise InputError(f"{path}: not text in UTF-8, but in UTF-16 or binary; save it as CSV in UTF-8")
     rows = [line for line in head[:3] if line.strip()]
     last = rows[-1] if rows else ""
     counts = {mark: min(line.count(mark) for line in rows) if rows else 0 for mark in ";\t|"}

@@ -50,6 +50,7 @@ def samples_of(tables: Tables, sampling: str) -> Raw:
     raw.imu = ImuSamples(t, gyro, accel, rate)
     raw.utc = float(tables.base) if EARLIEST_UTC < tables.base < LATEST_UTC else None
     _add_aiding(raw, tables, spec, _stored_outages(stored, tables.folder))
+    raw.notes += tables.notes
     return raw
 
 

@@ -10,8 +10,10 @@ import pandas as pd
 import pytest
 
 from testbed.base.errors import InputError
+from testbed.base.schema import validate
 from testbed.data.records import SensorLog, Trajectory
-from testbed.formats import export_log, import_log
+from testbed.formats import export_log, import_log, load_recording
+from testbed.formats.config import RecordingConfig
 from testbed.physics.rotations import quats_to_eulers
 
 GIVEN = {"imu": {"model": "ADIS16448"}, "gnss": {"model": "Garmin16x"}}
@@ -205,3 +207,62 @@ def test_dates_out_of_place(column: str, value: str | None, words: str, folder: 
     with pytest.raises(InputError) as caught:
         import_log("table", folder, **GIVEN)
     assert words in str(caught.value) and "imu.csv" in str(caught.value)
+
+
+def test_a_mapping_that_maps_nothing_is_told(folder: Path) -> None:
+    """A mistyped column beside a right one: the file's own name is read, and the mapping's is told with the nearest."""
+    columns = {"gyro_x_radsp": "gyro_x_radps", "gnss": {"hoch": "alt_m"}}
+    notes = import_log("table", folder, columns=columns, **GIVEN).notes
+    assert any('"gyro_x_radsp" = "gyro_x_radps" has no effect: no file has' in n and "did you mean" in n for n in notes)
+    assert any('"hoch" = "alt_m" has no effect: gnss has no column hoch' in note for note in notes)
+    rename = {"gyro_x_radps": "wx"}
+    pd.read_csv(folder / "imu.csv").rename(columns=rename).to_csv(folder / "imu.csv", index=False)
+    assert not any("no effect" in n for n in import_log("table", folder, columns={"wx": "gyro_x_radps"}, **GIVEN).notes)
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda f: f.drop(columns="gyro_z_radps"), "no column for gyro_z (such as gyro_z_radps); it has time_s"),
+        (lambda f: f.rename(columns={"gyro_z_radps": "Gyro Z (rad/s)"}), "is it the column 'Gyro Z (rad/s)'"),
+        (lambda f: f.rename(columns={"gyro_z_radps": "c7"}), "columns that are not read: 'c7'"),
+    ],
+)
+def test_a_missing_column_names_only_what_is_not_read(edit, words: str, folder: Path) -> None:
+    edit(pd.read_csv(folder / "imu.csv")).to_csv(folder / "imu.csv", index=False)
+    with pytest.raises(InputError) as caught:
+        import_log("table", folder, **GIVEN)
+    assert words in str(caught.value) and "did you mean" not in str(caught.value)
+
+
+def test_utf_16_is_named(folder: Path) -> None:
+    (folder / "imu.csv").write_text((folder / "imu.csv").read_text(), encoding="utf-16")
+    with pytest.raises(
+        InputError, match=r"imu.csv: not text in UTF-8, but in UTF-16 or binary; save it as CSV in UTF-8"
+    ):
+        import_log("table", folder, **GIVEN)
+
+
+def test_a_folder_for_a_file_and_a_file_for_a_folder(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"imu.csv: is a file; the key recording.dir names the folder"):
+        load_recording(validate(RecordingConfig, {"format": "table", "dir": "imu.csv"} | GIVEN, "test"), folder)
+    (folder / "gnss.csv").unlink()
+    (folder / "gnss.csv").mkdir()
+    with pytest.raises(InputError, match=r"gnss.csv: is a folder \(wanted a file for the gnss\)"):
+        import_log("table", folder, **GIVEN)
+
+
+def test_euler_angles_beside_another_quaternion_are_told(
+    trajectory: Trajectory, log: SensorLog, tmp_path: Path
+) -> None:
+    """The yaw a quarter turn off; whole degrees are half a degree off about each axis and told by nobody."""
+    export_log(log, tmp_path, "csv", reference=trajectory)
+    frame = pd.read_csv(tmp_path / "reference.csv")
+    frame.round({f"{a}_deg": 0 for a in ("roll", "pitch", "yaw")}).to_csv(tmp_path / "reference.csv", index=False)
+    assert not any("q_nb" in note for note in import_log("table", tmp_path).notes)
+    frame.assign(yaw_deg=frame["yaw_deg"] + 90.0).to_csv(tmp_path / "reference.csv", index=False)
+    read = import_log("table", tmp_path)
+    assert any(
+        "reference.csv: roll, pitch and yaw are another attitude than q_nb" in n and "90°" in n for n in read.notes
+    )
+    assert np.abs(read.reference.q_nb - trajectory.q_nb).max() < 1e-12
