@@ -34,6 +34,9 @@ tenths of a knot or a course in degrees at 5 m/s rounds off as much."""
 NO_COURSE = 0.5
 """Knots: at rest receivers leave the course empty, and its direction does not matter."""
 DAY = 86400.0
+SENT_WITH_ALL = 0.5
+"""Share of the fixes: a receiver that sends speed or sigmas less often than places sends them with every second one at most;
+above it single sentences were lost."""
 
 
 @dataclass
@@ -73,6 +76,7 @@ def read_fixes(path: Path, base: float = 0.0) -> beside.ReceiverFile:
     notes.append(f"{path}: {shares}")
     rows = rows[good]
     rows = rows[np.concatenate([[True], np.any(np.diff(rows[:, :2], axis=0) != 0.0, axis=1)])]
+    rows = _whole(said, rows, notes, path)
     t, dated = _times(path, said, rows, base)
     if not dated:
         notes.append(f"{path}: tells no date; times are seconds of the day")
@@ -155,6 +159,22 @@ def _separation(stated: Array, notes: list[str], path: Path) -> Array | float:
         notes.append(f"{path}: states no geoid separation; heights are above mean sea level")
         return 0.0
     return np.where(known, stated, np.median(stated[known]))
+
+
+def _whole(said: _Sentences, rows: Array, notes: list[str], path: Path) -> Array:
+    """Fixes but for those whose RMC or GST was lost, where the others have theirs."""
+    when = [(int(day), seconds) for day, seconds in rows[:, :2]]
+    keep = np.ones(len(rows), dtype=bool)
+    for kind, what, table in (("RMC", "speed and course", said.motion), ("GST", "sigmas", said.sigma)):
+        has = np.array([key in table for key in when])
+        if not has.all() and has.mean() > SENT_WITH_ALL:
+            lost = int((~has).sum())
+            notes.append(
+                f"{path}: {lost} of {len(rows)} fixes {'has' if lost == 1 else 'have'} no {what} (a damaged or missing {kind}),"
+                f" the first {rows[np.argmin(has), 1]:.2f} s into its day, and {'is' if lost == 1 else 'are'} left out"
+            )
+            keep &= has
+    return rows[keep]
 
 
 def _motion_and_sigmas(said: _Sentences, rows: Array, notes: list[str], path: Path) -> tuple[Array, Array | None, bool]:

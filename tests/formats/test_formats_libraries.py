@@ -180,6 +180,28 @@ def test_nmea(sigmas: bool, log: SensorLog, tmp_path: Path) -> None:
         assert read.log.gnss.std[0, :5] == pytest.approx([1.5, 1.6, 2.5, 0.1, 0.1])
 
 
+@pytest.mark.parametrize("kind", [b"RMC", b"GST"])
+def test_a_lost_sentence_costs_its_fix_alone(kind: bytes, log: SensorLog, tmp_path: Path) -> None:
+    """Two sentences cut off among 200: the other fixes keep velocities and sigmas; of every second one alone none is used."""
+    from testbed.formats.nmea import read_fixes
+
+    sentences = writers.nmea_sentences(log)
+    (tmp_path / "x.nmea").write_bytes(b"".join(sentences))
+    whole = read_fixes(tmp_path / "x.nmea")
+    rows = [k for k, sentence in enumerate(sentences) if sentence[3:6] == kind]
+    for k in (rows[20], rows[41]):
+        sentences[k] = sentences[k][:25] + b"\r\n"
+    (tmp_path / "y.nmea").write_bytes(b"".join(sentences))
+    found = read_fixes(tmp_path / "y.nmea")
+    rest = np.delete(np.arange(len(whole.fixes.t)), [20, 41])
+    assert np.array_equal(found.fixes.t, whole.fixes.t[rest]) and np.array_equal(found.fixes.v_n, whole.fixes.v_n[rest])
+    assert np.array_equal(found.fixes.std, whole.fixes.std[rest]) and found.level_velocity
+    assert any(f"2 of {len(rows)} fixes have no" in note and kind.decode() in note for note in found.notes)
+    seldom = [s for k, s in enumerate(writers.nmea_sentences(log)) if k not in rows[::2]]
+    (tmp_path / "z.nmea").write_bytes(b"".join(seldom))
+    assert len(read_fixes(tmp_path / "z.nmea").fixes.t) == len(whole.fixes.t)
+
+
 REAL_NMEA = """\
 $GNRMC,103607.00,A,5327.03942,N,10214.42462,W,0.046,,060321,,,A,V*0E
 $GNVTG,,T,,M,0.046,N,0.085,K,A*32
