@@ -8,6 +8,7 @@ shift at which they agree best is the delay of one clock against the other. SI, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -51,14 +52,21 @@ class Fit(NamedTuple):
     ratio: float
 
 
-def check(raw: Raw) -> list[str]:
-    """Refuses turns of another unit or sign; tells a delay that the specification does not account for."""
+def check(raw: Raw, doubts: Sequence[str] = ()) -> list[str]:
+    """Refuses turns of another unit or sign; tells a delay that the specification does not account for.
+
+    ``doubts`` are those of the velocities, which turn the other way when north and east are exchanged.
+    """
     assert raw.imu is not None and raw.gnss is not None
     if len(raw.gnss.t) < FEWEST:
         return []
     imu, gnss = _thinned(raw.imu), raw.gnss
     turning = turns(imu, gnss) if not raw.gnss_position_only else None
     if turning is not None and abs(turning.similar) > SIMILAR:
+        if turning.similar < 0.0 and doubts:
+            raise InputError(
+                f"{doubts[0]} The course that they give turns against the IMU (correlation {turning.similar:.2f})"
+            )
         if turning.similar < 0.0:
             raise InputError(
                 f"{raw.place('imu')}: turns about the measured vertical go against the course over ground (correlation"

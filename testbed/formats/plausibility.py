@@ -70,8 +70,9 @@ def check(raw: Raw) -> list[str]:
         notes += reference_motion.check(raw)
         notes += _reference_place(raw)
     if raw.gnss is not None:
-        notes += _velocities(raw)
-        notes += agreement.check(raw)
+        doubts = _velocities(raw)
+        level = [doubt for doubt in doubts if "north and east" in doubt]
+        notes += [*doubts, *agreement.check(raw, level)]
     return notes
 
 

@@ -385,3 +385,14 @@ def test_a_rate_that_the_files_overrule_is_told(part: str, given: dict, told: st
     assert any(f"[recording.{part}] rate_hz = 333 has no effect" in note and told in note for note in notes)
     rate = float(told.split()[0])
     assert not any("rate_hz" in note for note in read(tmp_path, **{part: given | {"rate_hz": rate}}).notes)
+
+
+def test_exchanged_velocities_are_not_the_imus_fault(log, tmp_path: Path) -> None:
+    """North and east exchanged mirror the course: its turns go against the IMU, and so do the positions against it."""
+    tables(log, None, tmp_path)
+    swapped = {"v_north_mps": "v_east_mps", "v_east_mps": "v_north_mps"}
+    change(tmp_path, "gnss", lambda f: f.rename(columns=swapped))
+    with pytest.raises(InputError) as caught:
+        read(tmp_path)
+    assert "gnss.csv: the positions move" in str(caught.value) and "north and east exchanged?" in str(caught.value)
+    assert "gyro axis" not in str(caught.value)
