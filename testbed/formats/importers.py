@@ -115,6 +115,7 @@ def _specify(config: RecordingConfig, folder: Path, raw: Raw, place: str) -> Non
         if kind not in raw.stated and not table and kind in ("imu", "gnss"):
             raise InputError(
                 f"{place}: nothing states how good the {kind} is; give [recording.{kind}] a model of the catalogue or its figures"
+                f" (--set recording.{kind}.model=NAME)"
             )
         if clock is not None:
             shift = _number(clock, f"[recording.{kind}] clock_s")
