@@ -143,6 +143,7 @@ def _overlaps(raw: Raw) -> list[str]:
     times = {name: samples.t for name, samples in parts_of(raw).items() if name != "imu"}
     if raw.motion is not None:
         times["reference"] = raw.motion[0]
+    counted = f"; times count from {seconds(raw.utc)} s since 1970" if raw.utc else ""
     for name, t in times.items():
         if not len(t):
             continue
@@ -157,7 +158,7 @@ def _overlaps(raw: Raw) -> list[str]:
             shift = (start - float(t[0])) * (1.0 if own else -1.0)
             raise InputError(
                 f"{told} does not overlap {imu}; if the clocks differ, recording.{name if own else 'imu'} clock_s says by how much"
-                f" ({seconds(shift)} would let both begin together){asked}"
+                f" ({seconds(shift)} would let both begin together{counted}){asked}"
             )
         if thousand and len(t) > FEWEST_INSIDE and inside < FEWEST_INSIDE:
             raise InputError(f"{told} has {inside} of its {len(t)} rows within the times of {imu}{asked}")

@@ -298,7 +298,7 @@ def _read_part(
         unit = next(iter(column_units.UNITS[REQUIRED[part][missing[0]]]))
         example = f"{missing[0]}_{unit}"
         raise InputError(
-            f"{path}: no column for {', '.join(missing)} (such as {example}); {_candidates(example, unread, names)}. Other"
+            f"{path}: no column for {', '.join(missing)} (such as {example}); {_candidates(example, unread, names)} Other"
             ' names are read with a mapping, a TOML file with [columns] and lines such as wx = "gyro_x_dps" (--map FILE)'
         )
     if "lat" in out:
@@ -310,10 +310,10 @@ def _candidates(wanted: str, unread: list[str], names: list[str]) -> str:
     """Which column may be the wanted one: of those that nothing reads, the nearest, however it is written."""
     plain = {re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"): name for name in unread}
     if (near := closest(wanted, plain)) is not None:
-        return f"is it the column '{plain[near]}'"
+        return f"is it the column '{plain[near]}'?"
     if unread:
-        return f"columns that are not read: {', '.join(shown(name) for name in unread[:12])}"
-    return f"it has {', '.join(names[:12])}, which are all read"
+        return f"columns that are not read: {', '.join(shown(name) for name in unread[:12])}."
+    return f"it has {', '.join(names[:12])}, which are all read."
 
 
 def _read_frame(path: Path) -> pd.DataFrame:

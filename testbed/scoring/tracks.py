@@ -121,8 +121,8 @@ def _matched(truth: Trajectory, track: Track) -> tuple[Array, Array, Array, Arra
         track = Track(track.name, t, ned, v, q)
     else:
         keep = np.isin(track.t, t)
-        rows = [None if x is None else x[keep] for x in (track.v_n, track.q_nb)]
-        track = Track(track.name, t, track.ned[keep], *rows)
+        v, q = (None if x is None else x[keep] for x in (track.v_n, track.q_nb))
+        track = Track(track.name, t, track.ned[keep], v, q)
     return t, local(lat, lon, h, origin), v_n, q_nb, track
 
 
