@@ -41,6 +41,8 @@ class Track:
     q_nb: Array | None = None
     notes: tuple[str, ...] = ()
     """What its file leaves in doubt."""
+    place: str = ""
+    """How a message names it: its file."""
 
 
 Origin = tuple[float, float, float]
@@ -67,7 +69,7 @@ def read(path: Path, origin: Origin) -> Track:
     if path.suffix == ".pos":
         fixes, position_only, _ = read_pos(path)
         ned = local(fixes.lat, fixes.lon, fixes.h, origin)
-        return Track(path.stem, fixes.t, ned, None if position_only else fixes.v_n)
+        return Track(path.stem, fixes.t, ned, None if position_only else fixes.v_n, place=str(path))
     if path.suffix in TUM:
         return _tum(path)
     tables, velocity, attitude = _tables(path)
@@ -80,6 +82,7 @@ def read(path: Path, origin: Origin) -> Track:
         tables.block("solution", list(VELOCITY)) if velocity else None,
         tables.quaternions("solution") if attitude else None,
         tuple(tables.notes),
+        str(path),
     )
 
 
@@ -159,7 +162,7 @@ def _tum(path: Path) -> Track:
     q = rows[:, [7, 4, 5, 6]] / norm
     n = len(t)
     q_nb = multiply(multiply(np.repeat(_ENU_TO_NED, n, axis=0), q), np.repeat(_FRD_TO_FLU, n, axis=0))
-    return Track(path.stem, t, rows[:, [2, 1, 3]] * [1.0, 1.0, -1.0], None, q_nb)
+    return Track(path.stem, t, rows[:, [2, 1, 3]] * [1.0, 1.0, -1.0], None, q_nb, place=str(path))
 
 
 def read_truth(path: Path, notes: list[str] | None = None) -> Trajectory:

@@ -102,7 +102,7 @@ def _matched(truth: Trajectory, track: Track) -> tuple[Array, Array, Array, Arra
     limits = (track.t if truth.own_times else truth.t)[[0, -1]]
     t = times[(times >= limits[0] - 1e-9) & (times <= limits[1] + 1e-9)]
     spans = (
-        f"{track.name}: {seconds(track.t[0])} to {seconds(track.t[-1])} s {{}} the truth, {seconds(truth.t[0])} to"
+        f"{track.place or track.name}: {seconds(track.t[0])} to {seconds(track.t[-1])} s {{}} the truth, {seconds(truth.t[0])} to"
         f" {seconds(truth.t[-1])} s"
     )
     asked = ""

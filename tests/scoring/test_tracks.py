@@ -175,7 +175,7 @@ def test_what_is_scored_is_told(truth: Trajectory, tmp_path: Path) -> None:
 def test_units_of_a_solution_are_asked_for(edit, words: str, truth: Trajectory, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         notes(truth, table(truth, tmp_path / "mine.csv", edit))
-    assert words in str(caught.value) and "mine" in str(caught.value)
+    assert words in str(caught.value) and "mine.csv" in str(caught.value)
 
 
 def test_velocities_that_are_not_those_of_the_places_are_told(truth: Trajectory, tmp_path: Path) -> None:
