@@ -185,3 +185,15 @@ def test_velocities_that_are_not_those_of_the_places_are_told(truth: Trajectory,
         lambda f: f.assign(**{f"v_{a}_mps": 3.6 * f[f"v_{a}_mps"] for a in ("north", "east")}),
     )
     assert any("the solution: the velocities say 3.6 times" in note for note in notes(truth, path))
+
+
+def test_a_noisy_solution_at_rest_is_not_doubted(truth: Trajectory) -> None:
+    """Fixes of 4 m about each axis that stand still for 600 s, with velocities of 0.05 m/s."""
+    rng = np.random.default_rng(5)
+    t = np.arange(600.0)
+    zero = np.zeros(600)
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (600, 1))
+    place = [np.full(600, x[0]) for x in (truth.lat, truth.lon, truth.h)]
+    rest = Trajectory(t, *place, np.column_stack([zero] * 3), still, np.zeros((600, 3)), np.zeros((600, 3)))
+    noisy = Track("x", t, 4.0 * rng.standard_normal((600, 3)), 0.05 * rng.standard_normal((600, 3)))
+    assert score_track(rest, noisy).notes == ()
