@@ -52,7 +52,7 @@ class TrajectoryConfig(Table):
     )
     max_gap_s: Positive | None = Field(
         default=None,
-        description="Longest time between two rows, s; default: five of the file's usual intervals, at most 5 s",
+        description="Longest time between two rows, s; default: five of the file's usual intervals, in tables 5 s at most",
     )
     max_acceleration_mps2: Annotated[float, Field(gt=0, le=5000)] = Field(
         default=100.0, description="Beyond it the file is refused, m/s²: 10 g, more than people or airframes take"

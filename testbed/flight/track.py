@@ -115,8 +115,8 @@ def _in_e(track: Track, config: TrajectoryConfig) -> Array:
 def _check_gaps(track: Track, config: TrajectoryConfig) -> None:
     steps = np.diff(track.t)
     usual = float(np.median(steps))
-    if not track.recorded:  # a recording's reference comes at the rate that it has
-        usual = min(usual, SLOWEST_ROWS_S)
+    if not (track.recorded or Path(config.trajectory).suffix.lower() in (".gpx", ".kml")):
+        usual = min(usual, SLOWEST_ROWS_S)  # those come at the rate that they have, at times whose unit is no question
     longest = config.max_gap_s if config.max_gap_s is not None else USUAL_GAP * usual
     if steps.max() > longest * (1.0 + 1e-9):
         k = int(np.argmax(steps > longest * (1.0 + 1e-9)))

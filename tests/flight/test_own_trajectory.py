@@ -356,3 +356,19 @@ def test_rows_of_less_than_a_hertz_are_told_and_far_ones_refused(tmp_path):
     with pytest.raises(InputError, match=r"a gap of 10 s after row 1 .*at most 5 s are bridged \(the key max_gap_s\)"):
         notes(0.1)
     assert any("its rows are 10 s apart (0.1 Hz)" in note for note in notes(0.1, max_gap_s=10.0))
+
+
+def test_a_receiver_that_saves_a_place_each_seven_seconds_is_followed(tmp_path):
+    """GPX has dates, so its times are in no doubt."""
+    import pandas as pd
+
+    n = np.arange(30)
+    when = pd.Timestamp("2024-05-01T10:00:00Z") + pd.to_timedelta(7 * n, unit="s")
+    points = "".join(
+        f'<trkpt lat="{50.0 + 1e-4 * k:.9f}" lon="8.0"><ele>100</ele><time>{w:%Y-%m-%dT%H:%M:%SZ}</time></trkpt>'
+        for k, w in zip(n, when, strict=True)
+    )
+    (tmp_path / "walk.gpx").write_text(GPX.format(points))
+    assert made(tmp_path / "walk.gpx").t[-1] == pytest.approx(7.0 * 29)
+    config = validate(TrajectoryConfig, {"trajectory": str(tmp_path / "walk.gpx")}, "flight")
+    assert any("its rows are 7 s apart" in note for note in notes_of_track(config))
