@@ -39,7 +39,7 @@ class ClaimConfig(Table):
 
     @model_validator(mode="after")
     def _one_kind(self) -> ClaimConfig:
-        if self.better == self.than:
+        if self.better and self.better == self.than:  # studies judge measured values, which have no rows
             raise ValueError(f"better and than both name '{self.than}'; a claim compares two rows")
         if self.kind == "equal" and self.margin_pct is None:
             raise ValueError(
