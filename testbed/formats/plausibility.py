@@ -60,9 +60,8 @@ def check(raw: Raw) -> list[str]:
         notes += reference_motion.check(raw)
         notes += _reference_place(raw)
     if raw.gnss is not None:
-        doubts = _velocities(raw)
-        level = [doubt for doubt in doubts if "north and east" in doubt]
-        notes += [*doubts, *agreement.check(raw, level)]
+        level, vertical = _velocities(raw)
+        notes += [*level, *vertical, *agreement.check(raw, level)]
     return notes
 
 
@@ -289,28 +288,29 @@ def _reference_place(raw: Raw) -> list[str]:
     return [told] if max(off, high) > max(OFF_REFERENCE_M, 10.0 * sigma) else []
 
 
-def _velocities(raw: Raw) -> list[str]:
-    """Velocities against the differences of the positions: the unit along the ground, the sign of the vertical one."""
+def _velocities(raw: Raw) -> tuple[list[str], list[str]]:
+    """Velocities against the differences of the positions: sentences on the unit along the ground, and on the sign of the vertical."""
     g = raw.gnss
     assert g is not None
+    level: list[str] = []
+    vertical: list[str] = []
     if len(g.t) < 10 or raw.gnss_position_only:
-        return []
+        return level, vertical
     count = max(1, min(round(DISTANCE_S / float(np.median(np.diff(g.t)))), len(g.t) // 10))
     rows = np.arange(0, len(g.t), count)
     ned = np.diff(first_motion.offsets(g)[rows], axis=0)
     way = np.vstack([np.zeros(3), np.cumsum(0.5 * (g.v_n[1:] + g.v_n[:-1]) * np.diff(g.t)[:, None], axis=0)])
     moved, shown = ned, np.diff(way[rows], axis=0)
-    notes = []
     ratio, similar = slope(shown[:, :2].ravel(), moved[:, :2].ravel())
     if np.median(np.linalg.norm(g.v_n[:, :2], axis=1)) > 1.0 and (similar < 0.5 or not 0.8 < ratio < 1.25):
-        notes.append(
+        level.append(
             f"{raw.place('gnss')}: the positions move {ratio:.3g} times as far as the velocities say (similarity {similar:.2f}):"
             " units, or north and east exchanged?"
         )
     ratio, similar = slope(shown[:, 2], moved[:, 2])
     if similar < -0.5:
-        notes.append(f"{raw.place('gnss')}: the height falls when v_down is negative: is it the velocity upwards?")
-    return notes
+        vertical.append(f"{raw.place('gnss')}: the height falls when v_down is negative: is it the velocity upwards?")
+    return level, vertical
 
 
 def select(samples: GnssFixes, keep: NDArray[np.bool_]) -> GnssFixes:

@@ -8,7 +8,6 @@ everywhere.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from testbed.base.errors import InputError
 from testbed.data.records import Array, ImuSamples, SensorLog, Trajectory
@@ -95,7 +94,7 @@ def velocity_doubts(t: Array, ned: Array, v_n: Array, place: str, least_m: float
         return []
     notes = []
     ratio, similar = slope(moved[:, :2].ravel(), shown[:, :2].ravel())
-    far, told = (_rms(np.linalg.norm(w[:, :2], axis=1)) for w in (moved, shown))
+    far, told = (rms(np.linalg.norm(w[:, :2], axis=1)) for w in (moved, shown))
     if far > least_m and told < 0.05 * far:
         notes.append(
             f"{place}: the velocities are next to zero, while the places move {far:.3g} m in {count * step:.3g} s"
@@ -106,7 +105,7 @@ def velocity_doubts(t: Array, ned: Array, v_n: Array, place: str, least_m: float
         notes.append(
             f"{place}: the velocities say {ratio:.3g} times the way that the places move (similarity {similar:.2f}): {asked}"
         )
-    climbed = min(_rms(moved[:, 2]), _rms(shown[:, 2]))
+    climbed = min(rms(moved[:, 2]), rms(shown[:, 2]))
     if climbed > least_m and slope(shown[:, 2], moved[:, 2])[1] < -0.5:
         notes.append(f"{place}: the height falls when v_down is negative: is it the velocity upwards?")
     return notes
@@ -139,13 +138,13 @@ def _unit_message(raw: Raw, ratio: float) -> str:
 def _turns(raw: Raw) -> list[str]:
     """Turns of the reference's body against those of the gyros: sizes, directions, axis by axis."""
     assert raw.imu is not None and raw.motion is not None
-    rate = _rms(np.linalg.norm(raw.imu.gyro[:: max(1, len(raw.imu.t) // MOST_ROWS)], axis=1))
+    rate = rms(np.linalg.norm(raw.imu.gyro[:: max(1, len(raw.imu.t) // MOST_ROWS)], axis=1))
     for span in (float(np.clip(1.0 / max(rate, 1e-9), SHORTEST_TURN_S, TURN_S)), SLOW_TURN_S):
         found = compared_turns(raw.imu, raw.motion[0], raw.motion[5], span)
         if found is None:
             continue
         turn, swept = found
-        sizes = _rms(np.linalg.norm(turn, axis=1)), _rms(np.linalg.norm(swept, axis=1))
+        sizes = rms(np.linalg.norm(turn, axis=1)), rms(np.linalg.norm(swept, axis=1))
         if sizes[0] < LEAST_TURN and sizes[1] < LEAST_TURN * max(span, 1.0):
             continue
         ratio, cosine = _in_the_middle(turn, swept)
@@ -160,7 +159,7 @@ def _in_the_middle(turn: Array, swept: Array) -> tuple[float, float]:
     """Medians of the ratio of the lengths, gyros over reference, and of the cosine, where the one that shows more moves."""
     lengths = np.array([np.linalg.norm(turn, axis=1), np.linalg.norm(swept, axis=1)])
     larger = lengths[np.argmax(lengths.mean(axis=1))]
-    moves = larger > 0.5 * _rms(larger)
+    moves = larger > 0.5 * rms(larger)
     turned, gone = np.maximum(lengths[:, moves], 1e-12)
     cosines = np.einsum("ki,ki->k", turn[moves], swept[moves]) / (turned * gone)
     return float(np.median(gone / turned)), float(np.median(cosines))
@@ -176,8 +175,7 @@ def _doubted_turns(place: str, turn: Array, swept: Array, sizes: tuple[float, fl
     axes = [
         axis
         for i, axis in enumerate("xyz")
-        if min(_rms(turn[:, i]), _rms(swept[:, i])) > LEAST_AXIS
-        and slope(turn[:, i], swept[:, i])[1] < -SMALLEST_COSINE
+        if min(rms(turn[:, i]), rms(swept[:, i])) > LEAST_AXIS and slope(turn[:, i], swept[:, i])[1] < -SMALLEST_COSINE
     ]
     if not axes and cosine > SMALLEST_COSINE:
         return []
@@ -248,5 +246,6 @@ def _gaps(raw: Raw) -> list[str]:
     ]
 
 
-def _rms(values: Array | NDArray[np.float64]) -> float:
+def rms(values: Array) -> float:
+    """Root mean square of all values."""
     return float(np.sqrt(np.mean(np.square(values))))

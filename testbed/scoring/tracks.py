@@ -21,7 +21,7 @@ from testbed.data.records import Array, Trajectory
 from testbed.data.shapes import gaps_of
 from testbed.formats.kinematics import multiply
 from testbed.formats.recording import seconds, thousandfold
-from testbed.formats.reference_motion import COVERED, velocity_doubts
+from testbed.formats.reference_motion import COVERED, rms, velocity_doubts
 from testbed.formats.solutions import Track, local, origin_of
 from testbed.physics import rotations
 from testbed.physics.interpolate import state_at
@@ -59,19 +59,19 @@ def score_track(truth: Trajectory, track: Track, alignment: str = "none") -> Sco
     error = ned - true
     flat = np.hypot(error[:, 0], error[:, 1])
     out = {"samples": float(len(t))}
-    out |= {f"rmse_{a}_m": _rms(error[:, i]) for i, a in enumerate(("north", "east", "down"))}
-    out |= {"rmse_position_2d_m": _rms(flat), "rmse_position_3d_m": _rms(np.linalg.norm(error, axis=1))}
+    out |= {f"rmse_{a}_m": rms(error[:, i]) for i, a in enumerate(("north", "east", "down"))}
+    out |= {"rmse_position_2d_m": rms(flat), "rmse_position_3d_m": rms(np.linalg.norm(error, axis=1))}
     out |= {
         "cep_m": float(np.median(flat)),
         "r95_m": float(np.quantile(flat, 0.95)),
         "max_position_3d_m": float(np.linalg.norm(error, axis=1).max()),
     }
     if v_n is not None and "velocity" in truth.known:
-        out["rmse_velocity_3d_mps"] = _rms(np.linalg.norm(v_n - v_true, axis=1))
+        out["rmse_velocity_3d_mps"] = rms(np.linalg.norm(v_n - v_true, axis=1))
     with_attitude = q_nb is not None and "attitude" in truth.known
     if q_nb is not None and with_attitude:
         phi = np.degrees(rotations.attitude_errors(q_nb, q_true))
-        out |= {"rmse_attitude_deg": _rms(np.linalg.norm(phi, axis=1)), "rmse_heading_deg": _rms(phi[:, 2])}
+        out |= {"rmse_attitude_deg": rms(np.linalg.norm(phi, axis=1)), "rmse_heading_deg": rms(phi[:, 2])}
     out |= relative_errors(true, ned, q_true if with_attitude else None, q_nb if with_attitude else None)
     return Scored(track.name, out, told, notes)
 
@@ -93,7 +93,7 @@ def relative_errors(
             gone = np.einsum("kji,kj->ki", rotations.quats_to_matrices(q_true[start]), gone)
             shown = np.einsum("kji,kj->ki", rotations.quats_to_matrices(q_nb[start]), shown)
         share = np.linalg.norm(shown - gone, axis=1) / (way[end] - way[start])
-        out[f"rpe_{d:g}m_pct"] = 100.0 * _rms(share)
+        out[f"rpe_{d:g}m_pct"] = 100.0 * rms(share)
     return out
 
 
@@ -190,7 +190,3 @@ def _quaternion(rotation: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]])
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

@@ -34,8 +34,6 @@ ALGORITHMS = {
 PAPER = tuple(ALGORITHMS)[:6]
 ONE_BY_ONE = ("sipo", "iipo")
 """These ask for one candidate at a time: such searches run abreast, so that their candidates can share a pass."""
-
-
 LEAST_POPULATION = {"de": 5}
 """Scipy takes no smaller one; every other algorithm needs 2."""
 
